@@ -289,7 +289,7 @@ def contrast(
     Parameters
     ----------
     sources : RENDER... REFERENCE
-        Renders, and what to compare them with: a store, an image, or what 'chdstat export' wrote.
+        Renders, and what to contrast them with: a store, an image, or what 'chdstat export' wrote.
     variance : path, default as the files say
         Variances of a sample of the reference, an image.
     reference_spp : int, default as the files say
@@ -302,7 +302,7 @@ def contrast(
         Stop drawing a scene that does not differ when a loss of this share of its light would have
         been found, .01 for 1 %.
     seconds : float, default all samples
-        Compare what each renders in this time.
+        Contrast what each renders in this time.
     junit : FILE
         Results as JUnit XML for continuous integration, .xml.
     out : path
@@ -365,7 +365,7 @@ def _stores_of_one_view(sources: list[str]) -> dict[str, Samples]:
 def _check_renders(names: list[str], page: Path | None, *, ranked: bool) -> None:
     """Refuse renders that cannot be contrasted together."""
     if not names:
-        message = "contrast needs a render and what to compare it with, got one path"
+        message = "contrast needs a render and what to contrast it with, got one path"
         raise InputError(message)
     if twice := next((name for name in names if names.count(name) > 1), ""):
         message = f"expected several renders, got {twice} twice"

@@ -248,7 +248,7 @@ def explore(
     Parameters
     ----------
     sources : SCENE|STORE|EXR...
-        Built-in name, scene file, store or EXR image; several are compared.
+        Built-in name, scene file, store or EXR image; several are contrasted.
     model : path
         A trained estimator to show; can be repeated.
     maps : path

@@ -231,8 +231,8 @@ def explore(
         A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
         is drawn coarsely, and a pixel is sampled when it is selected; one of another renderer than
         Mitsuba is first rendered with 256 samples per pixel. Several sources of the same
-        size are compared: stores, EXR images, and a scene as the first. If two stores have the same
-        seed, and so the same random numbers, their samples are compared in pairs.
+        size are contrasted: stores, EXR images, and a scene as the first. If two stores have the
+        same seed, and so the same random numbers, their samples are compared in pairs.
     models
         Trained estimators, or their files, shown among the estimates, with their certainty if
         they have one.

@@ -1,6 +1,6 @@
 """Contrasts: whether two renders of a view have the same mean, and which is more efficient.
 
-Use it to compare two integrators, a renderer before and after a change, or a render with a
+Use it to contrast two integrators, a renderer before and after a change, or a render with a
 converged image. It compares pixels, and regions, which show differences that no single pixel shows.
 """
 
@@ -490,7 +490,8 @@ class Contrasts(Tabled):
         if self.noise is None:
             of_each = {name: of.conclusion for name, of in self.contrasts.items()}
             return Card("Contrasts", {"conclusion": self.conclusion} | of_each)
-        facts = {"means": self.means.removeprefix("Means: ")} | self.noise.facts(brief=True)
+        means = self.means.removeprefix("Means: ").partition(". ")[0]
+        facts = {"means": means, **self.noise.facts(brief=True)}
         return Card("Contrasts", facts, self.noise.in_words())
 
 

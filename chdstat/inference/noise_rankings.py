@@ -3,7 +3,8 @@
 Noise is the relative variance of the luminance of a sample, weighted as in relMSE, over one image
 for all renders. At equal time, it is multiplied by the time of a sample. Of two renders, the ratio
 of these sums over the image has an interval of a bootstrap over blocks of pixels. All intervals of
-a ranking hold together (Bonferroni).
+a ranking hold together (Bonferroni). Times are single measurements: intervals at equal time hold if
+their ratio is wrong by a factor of up to `TIMING`.
 
 Where in the image a render is the least noisy is tested in square cells of pixels. Let x and y be
 samples k of two renders in a pixel, and m the mean of both renders there. If both have one
@@ -52,6 +53,9 @@ _TERMS = 256
 """Most terms of a cell; of more samples, several make a term."""
 _CELLS, _LEAST_CELL = 32, 4
 """Most cells along the longer edge of the image, and least edge of a cell in pixels."""
+TIMING = 1.7
+"""Factor by which a ratio of times may be wrong: a single time has no interval. Three renders of
+each of five scenes, on a busy machine, differed by up to 1.6."""
 _PATTERNS = 3
 """Most patterns by which the noise of a render is explained."""
 _PIXELS = 2
@@ -323,8 +327,8 @@ class NoiseRanking(Tabled):
         found["where"] = self._where()
         for name in self.order.names:
             if causes := [cause for cause in self.causes if cause.name == name]:
-                found[f"why {name}"] = _why(causes, brief=brief)
-        if self.settings:
+                found[f"{'excess of' if brief else 'why'} {name}"] = _why(causes, brief=brief)
+        if self.settings and not brief:
             found["settings that differ"] = ", ".join(self.settings).lower()
         return found
 
@@ -414,7 +418,7 @@ def _why(causes: Sequence[NoiseCause], *, brief: bool) -> str:
     first, *others = causes
     if brief:
         parts = [f"{percent(of.share.value)} in {_worded(of.pattern)}" for of in causes]
-        return f"of its additional variance, {', '.join(parts)} pixels"
+        return f"{', '.join(parts)} pixels"
     more = "".join(f"; {percent(of.share.value)} in {_worded(of.pattern)} pixels" for of in others)
     return f"of what it has more variance than {first.least}, {first.details}{more}"
 
@@ -522,13 +526,13 @@ def _orders(
     for a, at in enumerate(ats):
         factor = [render.seconds if at == "equal time" else 1.0 for render in renders]
         costs = {n: of.ravel() * f for n, of, f in zip(names, noise, factor, strict=True)}
-        differ = {
-            frozenset((names[i], names[j])): bool(
-                p_of_signs(d[a].sum(axis=(0, 1))[np.newaxis])[0] <= 1 - level
-            )
-            for (i, j), d in terms.items()
+        image = {pair: d.sum(axis=(1, 2))[:, np.newaxis, np.newaxis] for pair, d in terms.items()}
+        p = _p_less_noisy(image, len(names))[a, :, :, 0, 0]
+        surely = {
+            (names[i], names[j]): bool(p[i, j] <= 1 - level)
+            for i, j in itertools.permutations(range(len(names)), 2)
         }
-        found[at] = _order(at, costs, known.ravel(), trusted, differ, ratio)
+        found[at] = _order(at, costs, known.ravel(), trusted, surely, ratio)
     return found
 
 
@@ -542,7 +546,7 @@ def _order(
     costs: Mapping[str, Floats],
     known: Mask,
     trusted: Mapping[str, Mask],
-    differ: Mapping[frozenset[str], bool],
+    surely: Mapping[tuple[str, str], bool],
     ratio: Callable[[Floats, Floats, Mask], Interval[float]],
 ) -> NoiseOrder:
     """Return renders in the order of their costs (pixel,) over the known pixels.
@@ -550,20 +554,21 @@ def _order(
     Blocks do not show how rare the brightest samples are: an interval holds 1 unless the flips of
     signs, too, tell the two renders apart.
     """
-    number = known.sum() or np.nan
+    number, timing = known.sum() or np.nan, TIMING if at == "equal time" else 1.0
     total = {name: float(cost[known].sum() / number) for name, cost in costs.items()}
     ordered = tuple(sorted(costs, key=lambda name: total[name]))
     ratios: dict[tuple[str, str], Interval[float]] = {}
     doubtful = set()
     for one, other in itertools.combinations(ordered, 2):
         found = ratio(costs[one], costs[other], known)
-        if not differ[frozenset((one, other))]:
+        found = replace(found, low=found.low / timing, high=found.high * timing)
+        if not surely[one, other]:
             found = replace(found, high=max(found.high, 1.0))
         ratios[one, other] = found
         both = trusted[one] & trusted[other]
         if found.high < 1 and (both != known).any():
             again = ratio(costs[one], costs[other], both)
-            if not again.high < 1:
+            if not again.high * timing < 1:
                 doubtful.add((one, other))
     return NoiseOrder(at, ordered, total, ratios, frozenset(doubtful))
 
@@ -593,7 +598,7 @@ def _least_noisy(
     Its p-value is the largest over the others, times half the number of renders: if several are
     equally noisy, each of them may win by accident, in one direction of its tests.
     """
-    (height, width), p = noise.shape[1:], _p_of_cells(terms, len(renders))
+    (height, width), p = noise.shape[1:], _p_less_noisy(terms, len(renders))
     known = np.where(np.isfinite(noise).all(axis=0), noise, 0)
     winners, qs = [], []
     for a, at in enumerate(ats):
@@ -623,7 +628,10 @@ def _spread(cells: Array, edge: int) -> Array:
 def _cell_terms(
     renders: Sequence[RankedRender], scale: Floats, ats: Sequence[At], edge: int
 ) -> dict[tuple[int, int], Floats]:
-    """Return sums over cells of the terms of each pair of renders, (at, y, x, term).
+    """Return sums over cells of the terms of each pair of renders, (variant, y, x, term).
+
+    Variants are one at equal spp and, at equal time, those where the first or the second render
+    takes `TIMING` times as long as it says.
 
     A pair has equally many samples of both, since fewer are likelier to miss what is rare.
     """
@@ -632,7 +640,8 @@ def _cell_terms(
     sums = {}
     for i, j in itertools.combinations(range(len(renders)), 2):
         spp = min(renders[i].samples.spp, renders[j].samples.spp)
-        sums[i, j] = np.zeros((len(ats), rows, columns, spp // -(-spp // _TERMS)))
+        variants = 2 * len(ats) - 1
+        sums[i, j] = np.zeros((variants, rows, columns, spp // -(-spp // _TERMS)))
     most = max((render.samples.shape for render in renders), key=lambda shape: shape[3])
     for ys, xs in tiles(most):
         light = [_light_and_good(render.samples.read(ys, xs)) for render in renders]
@@ -645,18 +654,20 @@ def _cell_terms(
     return sums
 
 
-def _p_of_cells(terms: Mapping[tuple[int, int], Floats], number: int) -> Floats:
+def _p_less_noisy(terms: Mapping[tuple[int, int], Floats], number: int) -> Floats:
     """Return p-values that a render is less noisy than another, (at, render, other, y, x).
 
     NaN where nothing varies, and of a render against itself.
     """
-    ats, rows, columns, _ = next(iter(terms.values())).shape
-    p = np.full((ats, number, number, rows, columns), np.nan)
+    variants, rows, columns, _ = next(iter(terms.values())).shape
+    # At equal time, either may be the slower one.
+    of_first, of_second = ([0], [0]) if variants == 1 else ([0, 1], [0, 2])
+    p = np.full((len(of_first), number, number, rows, columns), np.nan)
     for (i, j), d in terms.items():
-        two_sided = p_of_signs(d.reshape(-1, d.shape[-1])).reshape(ats, rows, columns)
-        no = np.where(np.isnan(two_sided), np.nan, 1)
-        p[:, i, j] = np.where(d.sum(axis=-1) < 0, two_sided, no)
-        p[:, j, i] = np.where(d.sum(axis=-1) > 0, two_sided, no)
+        two_sided = p_of_signs(d.reshape(-1, d.shape[-1])).reshape(variants, rows, columns)
+        no, total = np.where(np.isnan(two_sided), np.nan, 1), d.sum(axis=-1)
+        p[:, i, j] = np.where(total < 0, two_sided, no)[of_first]
+        p[:, j, i] = np.where(total > 0, two_sided, no)[of_second]
     return p
 
 
@@ -682,14 +693,16 @@ def _terms(
         counts = render.samples.counts if render.samples.unequal else None
         share = 1.0 if counts is None else counts.mean() / counts[ys, xs]
         factors.append((weight * share)[..., np.newaxis].astype(np.float32))
-    for at in ats:
-        own = [middle, middle] if at == "equal spp" else means
-        costs = [1.0, 1.0] if at == "equal spp" else [render.seconds for render, _, _ in both]
+    one, other = (factor * (part - middle) ** 2 for factor, part in zip(factors, x, strict=True))
+    yield np.where(good, one - other, 0)
+    if "equal time" in ats:
         one, other = (
-            np.float32(cost / max(costs)) * factor * (part - center) ** 2
-            for cost, factor, part, center in zip(costs, factors, x, own, strict=True)
+            factor * (part - mean) ** 2
+            for factor, part, mean in zip(factors, x, means, strict=True)
         )
-        yield np.where(good, one - other, 0)
+        faster = both[0][0].seconds / both[1][0].seconds
+        for ratio in (faster * TIMING, faster / TIMING):
+            yield np.where(good, np.float32(ratio) * one - other, 0)
 
 
 def _folded(sums: Array, count: int) -> Floats:

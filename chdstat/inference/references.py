@@ -1,8 +1,8 @@
-"""References: images to compare renders with, and how well they are known.
+"""References: images to contrast renders with, and how well they are known.
 
 Such an image is a mean, known to the precision of its file. Its noise is known if it comes with an
 image of variances, or with a number of samples. What neither shows is how rare its light is. Means
-of batches of its samples do, and a render is compared with them as with samples.
+of batches of its samples do, and a render is contrasted with them as with samples.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _GRANTED = 16
 
 @dataclass(frozen=True, repr=False)
 class Reference(Shown):
-    """An image to compare a render with, and how well it is known.
+    """An image to contrast a render with, and how well it is known.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Reference(Shown):
         Negative ones, of rounded squares, count as 0. By default, that of the batches.
     spp
         Number of samples of each pixel; None if unknown. With a variance and no number, the mean is
-        taken to be as noisy as the render that is compared with it. With a number and no variance,
+        taken to be as noisy as the render contrasted with it. With a number and no variance,
         its samples are taken to vary as those of the render. With neither, it has no noise but one
         bright sample of at least 16 times as many as those of the render.
     precision

@@ -145,7 +145,7 @@ _OF_REFERENCE = ("number", "lowest", "highest")
 
 @dataclass(frozen=True)
 class Pair:
-    """Two renders, or a render and a reference, and how to compare them.
+    """Two renders, or a render and a reference, and how to contrast them.
 
     Attributes
     ----------

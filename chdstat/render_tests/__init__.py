@@ -1,4 +1,4 @@
-"""Render tests: a plugin of pytest that compares renders with references.
+"""Render tests: a plugin of pytest that contrasts renders with references.
 
 A test asks for the fixture `same_light`, which fails if the means of the render and of its
 reference differ. `SameLight` is its type. Nothing heavy is loaded until a test calls it.

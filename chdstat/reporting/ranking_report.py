@@ -18,7 +18,7 @@ from chdstat._core.doors import report
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
 from chdstat.inference import Contrasts
-from chdstat.inference.noise_rankings import NoiseRanking
+from chdstat.inference.noise_rankings import TIMING, NoiseRanking
 from chdstat.patterns import Label
 from chdstat.reporting.documents import Document, typeset
 from chdstat.viz.maps import LABEL_COLORS
@@ -42,7 +42,6 @@ def ranking_document(found: Contrasts) -> Document:
         raise InputError(message)
     sizes, last = noise.maps.sizes, noise.names[-1]
     facts = {f"{n[0].upper()}{n[1:]}": text for n, text in noise.facts(brief=True).items()}
-    facts.pop("Settings that differ", None)
     orders = {f"At {at}": order.conclusion.partition(", ")[2] for at, order in noise.orders.items()}
     content = {
         "names": noise.names,
@@ -55,6 +54,7 @@ def ranking_document(found: Contrasts) -> Document:
         "pairs": len(noise.order.ratios),
         "level": percent(noise.level),
         "rate": percent(noise.alpha),
+        "timing": TIMING,
         "causes": _causes(noise),
         "settings": [{"name": name, "values": values} for name, values in noise.settings.items()],
     }

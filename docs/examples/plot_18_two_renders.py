@@ -35,5 +35,5 @@ for name in ("q_value", "distribution_q_value"):
 
 # %%
 # **Next:** `Robust estimators in place of the mean <plot_19_estimators.html>`_ turns from
-# describing samples to estimating from them. The `how-to page <../how-to/compare-renders.html>`_
+# describing samples to estimating from them. The `how-to page <../how-to/contrast-renders.html>`_
 # is about equal seeds, converged images and the tests of a renderer.

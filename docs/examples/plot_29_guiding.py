@@ -50,5 +50,5 @@ for name, x in drawn.items():
 # pays. Claims 30 to 32 of ``chdstat study --integrators`` put numbers on what is seen here, for any
 # scene.
 #
-# **Next:** the how-to pages on `comparing renders <../how-to/compare-renders.html>`_ and on
+# **Next:** the how-to pages on `contrasting renders <../how-to/contrast-renders.html>`_ and on
 # `adaptive counts <../how-to/adaptive.html>`_.

@@ -417,7 +417,7 @@ def test_info_says_what_a_reference_cannot_show(run, compared, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("RIGHT",), "a render and what to compare it with"),
+        (("RIGHT",), "a render and what to contrast it with"),
         (("RIGHT", "RIGHT", "REFERENCE"), "twice"),
         (("RIGHT", "DARK", "REFERENCE", "-o", "page.pdf"), "about one render or several stores"),
         (("RIGHT", "REFERENCE", "--spp", "64"), "spp"),

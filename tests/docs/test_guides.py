@@ -114,7 +114,7 @@ def folder(tmp_path: Path, monkeypatch, stores) -> Path:
     recipe = re.search(r"code-block:: toml\n\n((?:   .*\n|\n)+)", PAGES["studies"])
     assert recipe
     (tmp_path / "attic.toml").write_text(textwrap.dedent(recipe[1]), "utf-8")
-    for page in ("compare-renders", "own-renderer"):
+    for page in ("contrast-renders", "own-renderer"):
         for name, code in FILE.findall(PAGES[page]):
             (tmp_path / name).write_text(textwrap.dedent(code))
     code = (tmp_path / "distance.py").read_text().replace('"distance"', '"lamps"')

@@ -26,6 +26,7 @@ from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of
 from chdstat.inference import modality
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
+from chdstat.inference.noise_rankings import TIMING
 from chdstat.samples import Samples
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.tiles import tiles
@@ -59,9 +60,6 @@ if TYPE_CHECKING:
 # --- longer paths ---------------------------------------------------------------------------------
 
 _LEVELS = (0.01, 0.5, 0.99)
-_TIMING = 1.7
-"""Factor by which a ratio of times may be wrong: a single time has no interval. Three renders of
-each of five scenes, on a busy machine, differed by up to 1.6."""
 _NO_TIMES = "needs times of the renders, by the scalar backend"
 
 
@@ -171,7 +169,7 @@ def cost(data: SceneData) -> Finding:
     seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
     if seconds[0] and seconds[1]:
         slower = seconds[0] / seconds[1]
-        time = Interval(slower, slower / _TIMING, slower * _TIMING, whole.level)
+        time = Interval(slower, slower / TIMING, slower * TIMING, whole.level)
         tests.append(ClaimTest("time per sample over that of shorter paths", time, least=1.0))
     values = {test.name.split(" over")[0]: test.interval.value for test in tests}
     return Finding(
@@ -232,7 +230,7 @@ def integrators(data: SceneData) -> Finding:
         seconds = [_seconds_per_sample(renders[n]) for n in (name, base)]
         if seconds[0] and seconds[1]:
             log, by = fewer[name], math.log10(seconds[0] / seconds[1])
-            room = math.log10(_TIMING)
+            room = math.log10(TIMING)
             low, high = log.low + by - room, log.high + by + room
             sooner[name] = Interval(log.value + by, low, high, log.level)
     needed = "positive samples enough for shapes"
