@@ -144,6 +144,8 @@ def type_in(line: str, stores: dict[str, Path], run) -> tuple[int, str]:
     small = SMALL.get(words[1], "")
     if words[1] == "estimate" and "--model" not in words:
         small = "--spp 16 --size 12x12"
+    elif words[1] == "report" and words[3].endswith(".zarr"):
+        small = ""  # several renders, which train nothing
     elif words[1:3] == ["study", "attic.zarr"]:
         small = "--estimator mean"
     if "--plugin" in words:  # which stays in the process that loads it
