@@ -10,6 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat._core import progress
+from chdstat._core.arrays import say_once
 from chdstat._core.progress import portion, track
 from chdstat._core.work import in_order
 
@@ -168,13 +169,17 @@ def test_a_terminal_gets_bars(monkeypatch, capfd):
 
 SCRIPT = """
 import sys, time
+import numpy as np
 import chdstat as chd
 from chdstat._core import progress
 progress._LINE_EVERY = .01
-samples = chd.simulate("gamma", shape=(16, 16), spp=512)
-chd.analyze(samples)
+samples = chd.Samples.from_array(np.ones((4, 4, 3, 8), np.float32))
+def slowly(block):
+    time.sleep(.2)
+    return {"mean": ((), block.mean((-1, -2)))}
+samples.map(slowly)
 print("silent now", file=sys.stderr)
-chd.analyze(samples, progress=False)
+samples.map(slowly, progress=False)
 """
 
 
@@ -185,3 +190,10 @@ def test_a_script_tells_its_progress():
     told, _, silent = said.partition("silent now\n")
     assert "analysing: " in told
     assert silent == ""
+
+
+def test_a_notice_is_said_once(caplog):
+    for _ in range(3):
+        say_once("fog: its lamps are switched off")
+        say_once("room: its lamps are switched off")
+    assert len(caplog.records) == 2
