@@ -75,7 +75,8 @@ class _Commands(typer.core.TyperGroup):
         if name in _OF_ONE:
             from chdstat.samples import is_store
 
-            stores = [one for one in args[1:] if is_store(one)]
+            given = (one for before, one in itertools.pairwise(args) if before[:1] != "-")
+            stores = [one for one in given if is_store(one)]
             if len(stores) > 1:
                 ctx.fail(_OF_ONE[name].format(shlex.join(stores)))
         if name not in self.commands and name in _MEANT:
