@@ -577,6 +577,11 @@ def test_several_images_are_compared(person, several):
     assert one.page.locator("#reference").input_value() == "2"  # the last
     assert one.text("#legend").split() == ["box.zarr", "other.zarr"]
     assert "64 samples of box.zarr" in one.text("#headline h2")
+    one.waits_for(
+        "document.querySelector('#scores').innerText.startsWith('Against reference.exr: MSE ')"
+    )
+    assert one.page.locator("#errors tr").count() == 3  # a head, and both renders
+    assert "its noise stays in the errors" in one.text("#errors .note")
     one.page.locator("h1").click()
     for key, front in (("2", 1), ("ArrowDown", 2), ("ArrowDown", 0), ("ArrowUp", 2), ("1", 0)):
         one.page.keyboard.press(key)
@@ -589,6 +594,9 @@ def test_several_images_are_compared(person, several):
     one.page.keyboard.press("Shift+Digit1")
     one.waits_for("location.search.includes('i=1') && location.search.includes('ref=0')")
     one.waits_for("document.querySelector('#headline').innerText.includes('of other.zarr')")
+    one.waits_for(
+        "document.querySelector('#scores').innerText.startsWith('Against box.zarr: MSE ')"
+    )
     one.waits_for("!document.querySelector('#compared').hidden")
     assert "other.zarr against box.zarr" in one.text("#compared")
     one.page.keyboard.press("d")
