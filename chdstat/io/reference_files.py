@@ -178,8 +178,8 @@ def _read(
     image = None if place.is_dir() else read_image(place)
     if image is None or _LAYOUT in image.attributes:
         given = {"variance": variance, "spp": spp}
-        if told := [f"{name}={value}" for name, value in given.items() if value is not None]:
-            message = f"{path} says how well it is known: leave out {', '.join(told)}"
+        if told := [name for name, value in given.items() if value is not None]:
+            message = f"{path} says how well it is known: leave out {' and '.join(told)}"
             raise InputError(message)
         found = _of_passes(place) if image is None else _of_own(place, image)
     else:
