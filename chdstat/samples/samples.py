@@ -319,7 +319,7 @@ class Samples:
         return regions_of(self, places)
 
     def plot(self, y: int, x: int, **options: Any) -> Figure:
-        """Draw linear and log10 histograms of one pixel with their best fits.
+        """Draw linear and log10 histograms of one pixel with their curves.
 
         Parameters
         ----------

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from chdstat._core.arrays import Array, take_rows
 from chdstat._core.display import Width, channel_names, number, percent
@@ -272,6 +273,7 @@ def draw_histograms(
         low, high = known or (1e-5, 1e5)
         room = max((high / low) ** _MARGIN, (10 * low / high) ** 0.5)
         ax.set_xlim(low / room, high * room)
+        ax.xaxis.set_minor_formatter(NullFormatter())
     else:
         low, high = known or (0.0, 1.0)
         ax.set_xlim(min(0.0, low), high + _MARGIN * (high - min(0.0, low)))
@@ -331,7 +333,9 @@ def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> Non
             y = y * x * np.log(10) if counted.scale == "log" else y
     if not np.isfinite(y).any():
         return
-    top = max(ax.get_ylim()[1], _ROOM * float(np.nanmax(counted.density, initial=0)))
+    # A density may be infinite at 0; what a histogram counts is finite.
+    peak = float(np.nanmax(y if isinstance(density, Curve) else counted.density, initial=0))
+    top = max(ax.get_ylim()[1], peak * (1 + _MARGIN if isinstance(density, Curve) else _ROOM))
     ax.plot(x, y, **look)
     ax.set_ylim(0, top)
 
