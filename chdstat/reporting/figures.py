@@ -402,7 +402,7 @@ channels are all 0, are counted in the title; SD/mean is the standard deviation 
 their mean."""),
     ReportFigure("alone", "regions", _alone, """
 *The samples*, channel by channel, on a linear (left) and a logarithmic scale, without nulls. Curves
-are the best of the fitted families, dashed lines the means."""),
+are the family or the mixture that describes the samples, dashed lines the means."""),
     ReportFigure("noise", "noise", _noise_maps, """
 *Noise and patterns.* Left: standard deviation of the samples over their mean, of luminance; the
 scale covers 98 % of the pixels. Right: the pattern of each pixel, in the colours of

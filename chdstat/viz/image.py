@@ -317,7 +317,7 @@ def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
         handles = swatches({f"{seen}, {name}": shade for name, shade in shades})
     fits = [fit for panel in panels for fit in panel.fits]
     if any(fit.fit if isinstance(fit, Curve) else fit for fit in fits):
-        handles += swatches({"its curve: a family or a mixture": "#111111"}, linewidth=1.3)
+        handles += swatches({"fitted family or mixture": "#111111"}, linewidth=1.3)
     if any(panel.mean for panel in panels):
         handles += swatches({"mean": "#444444"}, linestyle=MEAN)
     return handles

@@ -206,7 +206,7 @@ def test_regions_stand_on_one_axis_of_radiance(image, marks):
     found = texts(figure)
     assert {f"{i + 1} region {i}" for i in range(9)} <= found
     assert {"note", "samples that are not null, luminance", "mean"} <= found
-    assert "best fit" not in found
+    assert "fitted family or mixture" not in found
     _, *others = figure.axes
     insets, chds = others[::2], others[1::2]
     assert len({to_hex(ax.spines["top"].get_edgecolor()) for ax in insets}) == 9
