@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from bokeh import models
 from bokeh.plotting import figure
+from matplotlib.ticker import MaxNLocator
 
 from chdstat._core.arrays import Array, luminance, take_rows
 from chdstat._core.display import as_p, number, percent
@@ -69,8 +70,8 @@ _Extent = tuple[float, float]
 
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
-_ROW_HEIGHT = 0.78
-"""Height of a density, relative to the distance between rows."""
+_ROW_HEIGHT, _OF_AXIS = 0.78, 0.24
+"""Height of a density, and of a row's own axis, relative to the distance between rows."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class PanelData:
     lines
         What is drawn.
     texts
-        Side ("left" or "right"), y, text and colour of labels inside the panel.
+        Side ("left" or "right") or x, y, text and colour of labels inside the panel.
     notes
         Text beside the title.
     rows
@@ -120,7 +121,7 @@ class PanelData:
     """
 
     lines: Sequence[Trace] = ()
-    texts: Sequence[tuple[str, float, str, str]] = ()
+    texts: Sequence[tuple[str | float, float, str, str]] = ()
     notes: Sequence[str] = ()
     rows: int = 0
     own_x: bool = False
@@ -249,12 +250,14 @@ def _densities(
         base, color, ends = rows - pixel, group[0][0].mark, _ends([d for _, d in group])
         nulls = dict.fromkeys(percent(s.place.null_share) for s, _ in group)
         note = f"{' / '.join(nulls)} null"
-        if ends and own_x:
-            note = " – ".join(dict.fromkeys(map(number, ends)))
         lines += _in_row(_upon_each_other(group), base, ends if own_x else None)
-        # The note stands above the upper tail, where there is room.
         texts.append(("left", base, str(pixel), color))
-        texts.append(("right", base + 0.7 * _ROW_HEIGHT, note, color))
+        if ends and own_x:
+            axis, labels = _own_axis(base, ends)
+            lines += axis
+            texts += labels
+        elif not own_x:  # above the upper tail, where there is room
+            texts.append(("right", base + 0.7 * _ROW_HEIGHT, note, color))
     note = "each density over its peak" + (", on an axis of its own" if own_x else "")
     return PanelData(lines, texts, [note], rows=rows, own_x=own_x)
 
@@ -288,9 +291,9 @@ def _ends(densities: Sequence[_SeriesCurve]) -> _Extent | None:
 def _in_row(lines: Sequence[Trace], base: int, ends: _Extent | None) -> list[Trace]:
     """Return lines above a base, over their peak, and from one end to the other if there are."""
     peak = max((float(t.y.max()) for t in lines if t.fill), default=1.0) or 1.0
-    found = []
+    found, height = [], _ROW_HEIGHT if ends is None else _ROW_HEIGHT - _OF_AXIS
     for line in lines:
-        x, y = line.x, base + _ROW_HEIGHT * np.minimum(line.y / peak, 1.2)
+        x, y = line.x, base + height * np.minimum(line.y / peak, 1.2)
         if ends is not None:
             low, high = ends
             inside = (x >= low) & (x <= high)
@@ -298,6 +301,23 @@ def _in_row(lines: Sequence[Trace], base: int, ends: _Extent | None) -> list[Tra
             x = (x - low) / (high - low) if high > low else np.full(len(x), 0.5)
         found.append(replace(line, x=x, y=y))
     return found
+
+
+def _own_axis(base: int, ends: _Extent) -> tuple[list[Trace], list[tuple[float, float, str, str]]]:
+    """Return a row's own axis from 0 to 1, with a mark and a number at a few round values."""
+    low, high = ends
+    span = high - low
+    ticks = (
+        [v for v in MaxNLocator(4).tick_values(low, high) if low <= v <= high] if span else [low]
+    )
+    places = [float((v - low) / span) if span else 0.5 for v in ticks]
+    lines = [Trace(np.array([0.0, 1.0]), np.full(2, base), BLENDED, width=0.8)]
+    mark = np.array([base - 0.05, base])
+    lines += [Trace(np.full(2, at), mark, BLENDED, width=0.8) for at in places]
+    labels = [f"{v:.6g}".replace("-", "−") for v in ticks]
+    return lines, [
+        (at, base - _OF_AXIS, label, BLENDED) for at, label in zip(places, labels, strict=True)
+    ]
 
 
 def _histograms(scale: Scale, view: View, series: Sequence[_Series]) -> PanelData:
@@ -702,8 +722,10 @@ def encode_panels(panels: Mapping[str, PanelData]) -> dict[str, Any]:
         (left, right), (bottom, top) = extent(name, panel) or ((0, 1), (0, 1))
         ends = {"left": (left, 4), "right": (right, -4)}
         texts = [
-            (ends[side][0], y, text, color, side, ends[side][1])
-            for side, y, text, color in panel.texts
+            (ends[at][0], y, text, color, at, ends[at][1])
+            if isinstance(at, str)
+            else (at, y, text, color, "center", 0)
+            for at, y, text, color in panel.texts
         ]
         numbers += [np.asarray(v, np.float64) for t in panel.lines for v in (t.x, t.y)]
         found[name] = {
@@ -743,7 +765,7 @@ def extent(name: str, panel: PanelData) -> tuple[_Extent, _Extent] | None:
     if across is None or up is None:
         return None
     if panel.own_x:
-        return (-_NUMBERS, 1 + _LABELS), (-_BELOW, panel.rows)
+        return (-_NUMBERS, 1 + _NUMBERS), (-_BELOW - _OF_AXIS, panel.rows)
     if panel.rows:  # room for labels at both sides
         low, high = np.log10(_padded(across, "log"))
         ends = low - _NUMBERS * (high - low), high + _LABELS * (high - low) / 2
