@@ -4,7 +4,8 @@
 - `modality` looks at the positive samples in the log domain in two ways. Hartigan's dip test
   assumes nothing but continuity and has calibrated p-values, but little power. Mixtures of
   log-normal or gamma components give the number of modes, their places and their separation.
-- `difference` compares two CHDs, `contrast` two renders of a view, or a render and a `Reference`.
+- `difference` compares two CHDs, `contrast` two renders of a view, or a render and a `Reference`;
+  it ranks several renders by their noise, a `NoiseRanking`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from chdstat.inference.averages import (
 from chdstat.inference.contrasts import Contrast, Contrasts, contrast
 from chdstat.inference.differences import Difference, difference
 from chdstat.inference.modes import MODES, Modality, modality
+from chdstat.inference.noise_rankings import NoiseRanking
 from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
 from chdstat.inference.references import Reference
 
@@ -36,6 +38,7 @@ __all__ = [
     "Gaussianity",
     "GaussianityOfMeans",
     "Modality",
+    "NoiseRanking",
     "Reference",
     "contrast",
     "difference",

@@ -25,7 +25,7 @@ from chdstat.viz.maps import LABEL_COLORS
 from chdstat.viz.styling import called
 
 
-def ranking_document(found: Contrasts) -> Document:
+def _ranking_document(found: Contrasts) -> Document:
     """Return several renders, ready to typeset.
 
     Raises
@@ -104,7 +104,7 @@ def _causes(noise: NoiseRanking) -> list[dict[str, str]]:
 
 
 def _write(found: Contrasts, target: Path, **_: Any) -> Path:
-    return typeset(ranking_document(found), target)
+    return typeset(_ranking_document(found), target)
 
 
 report.register(Contrasts, _write)
