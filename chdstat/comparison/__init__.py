@@ -21,7 +21,7 @@ from chdstat.comparison.comparisons import (
     error_curve,
 )
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
-from chdstat.comparison.image_errors import ImageErrors, image_errors
+from chdstat.comparison.finished_images import ImageErrors, image_errors
 from chdstat.comparison.judges import Judge
 from chdstat.comparison.metrics import MEASURES
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Floats, luminance
 from chdstat._core.files import Cache, is_exr, user_cache
 from chdstat._core.positive import PositivePart
-from chdstat.comparison.image_errors import ImageErrors, measuring_errors
+from chdstat.comparison.finished_images import ImageErrors, measuring_errors
 from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.explorer.address import BRUSHED, PixelIndex, View, channel_name

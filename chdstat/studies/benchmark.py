@@ -31,7 +31,7 @@ from chdstat.comparison.estimator_choice import (
     takes,
     without_denoiser,
 )
-from chdstat.comparison.image_errors import Truth
+from chdstat.comparison.finished_images import Truth
 from chdstat.comparison.judges import PARTS, PartialSums
 from chdstat.comparison.metrics import (
     HAS_FLIP,

@@ -269,6 +269,8 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.chd_pair(PANEL, width="colum"), "width must be.*; did you mean 'column'?"),
         (lambda: viz.chd_pair(PANEL, width=-1), "or a number of inches, got -1"),
         (lambda: viz.image_map(IMAGE, channels="RG"), "channel must be one of red"),
+        (lambda: viz.value_map(IMAGE[..., 0], cmap="jett"), "colour maps, such as viridis.*'jett'"),
+        (lambda: viz.value_map(IMAGE[..., 0], log=True, limits=(0, 1)), r"above 0.*got \(0, 1\)"),
         (
             lambda: viz.averages([1], {"R": [1]}, np.ones((3, 1)), [1], alpha=0.1, channels="X"),
             "channel must be one of",

@@ -9,7 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import image_errors
-from chdstat.comparison.image_errors import flip_in_tiles
+from chdstat.comparison.finished_images import flip_in_tiles
 from chdstat.comparison.metrics import HAS_FLIP, flip
 from chdstat.errors import InputError
 from chdstat.inference.references import Reference
