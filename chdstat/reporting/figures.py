@@ -49,7 +49,7 @@ _COMPARED = 4
 """Most regions whose CHDs of shorter and of longer paths are compared."""
 _PAIR = 5.2
 """Width of a figure of two images, in inches."""
-_TITLE = 46
+_TITLE = 52
 """Most letters above the distribution of a region."""
 
 

@@ -46,6 +46,7 @@ from chdstat.viz.styling import (
     page,
     panels_in,
     per_cent,
+    plain_log,
     qualitative,
     style,
     swatches,
@@ -274,6 +275,8 @@ def draw_histograms(
         room = max((high / low) ** _MARGIN, (10 * low / high) ** 0.5)
         ax.set_xlim(low / room, high * room)
         ax.xaxis.set_minor_formatter(NullFormatter())
+        if 20 * low < high < 200 * low:  # powers of ten alone would be one label or two
+            plain_log(ax.xaxis, (1, 3))
     else:
         low, high = known or (0.0, 1.0)
         ax.set_xlim(min(0.0, low), high + _MARGIN * (high - min(0.0, low)))

@@ -32,25 +32,23 @@ def main() -> None:
             draw(figure.add_subplot(grid[i, 1]), x[i], name, color)
         above, below = figure.axes[1:]
         handles, _ = above.get_legend_handles_labels()
-        above.legend(handles, ["samples, green channel", "fitted mixture"], loc="upper left")
+        names = ["samples, green channel", "fitted mixture"]
+        above.legend(handles, names, loc="upper left", bbox_to_anchor=(0, 0.93))
         above.tick_params(labelbottom=False)
         below.set_xlabel("radiance of one sample")
         figure.savefig(Path(__file__).with_name("chd.png"), dpi=200)
 
 
 def draw(axes: Axes, x: np.ndarray, name: str, color: str) -> None:
-    null = (x == 0).all(axis=0)
-    histogram = chd.histogram(x[1], null=null)
-    viz.chd_axes(histogram, names=["G"], ax=axes)
-    # The mixture has a narrow peak: what it expects in each bin compares with the histogram.
-    mixture = chd.fit.mixture(x[1], null=null)
-    expected = np.diff(mixture.cdf(histogram.edges)) / (1 - mixture.cdf(0))
-    density = expected / np.diff(np.log10(histogram.edges))
-    axes.plot(histogram.centers, density, color="0.15", linewidth=1.4, label="mixture")
-    axes.set_xlim(1e-4, 1e1)
+    pixel = chd.Samples.from_array(x[np.newaxis, np.newaxis]).pixel(0, 0)
+    green = pixel.names.index("G")
+    curves = [pixel.curve(row) if row == green else None for row in range(len(pixel.names))]
+    found = pixel.histograms["log"]
+    viz.chd_axes(found, names=pixel.names, channels="G", fits=curves, limits=(1e-4, 10), ax=axes)
+    axes.lines[-1].set(color="0.15", label="curve")
     axes.set_ylabel("density per decade")
     axes.spines["bottom"].set(color=color, linewidth=2.2)
-    axes.set_title(f"{name}: {null.mean():.0%} of the samples are null", loc="left")
+    axes.set_title(f"{name}: {pixel.null_share:.0%} of the samples are null", loc="left")
 
 
 if __name__ == "__main__":
