@@ -47,7 +47,7 @@ def test_both_commands_are_single_lines() -> None:
     run, test = code_blocks(README, "sh")[:2]
     for command in (run, test):
         assert command.count("\n") == 1
-        assert command.startswith("python3.11 -m venv .venv && . .venv/bin/activate && pip install")
+        assert command.startswith("python3 -m venv .venv && . .venv/bin/activate && pip install")
     assert run.rstrip().endswith("chdstat report bathroom -o report.pdf")
     assert test.rstrip().endswith("pytest")
 

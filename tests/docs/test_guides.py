@@ -33,7 +33,7 @@ ELSEWHERE = {
     "--workers": "tests/test_clusters.py",  # in processes of their own
     "chdstat doctor": "tests/cli/test_cli.py",  # renders in processes of its own
     "report bathroom": ".ci/wheels",  # as many lines say; here reports are of stores
-    "python3.11 -m venv": ".ci/run",
+    "python3 -m venv": ".ci/run",
     "pip install": ".ci/wheels",
     "sphinx-build": ".ci/run",
     "pytest --render-update": "tests/docs/test_render_tests.py",
