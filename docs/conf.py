@@ -44,6 +44,7 @@ extensions = [
     "public_names",
     "reasons",
     "run",
+    "scenes",
 ]
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
@@ -65,6 +66,7 @@ numpydoc_xref_aliases = {
 intersphinx_mapping = write_inventories(Path(__file__).parent / "_build" / "inventories")
 intersphinx_timeout = 5
 
+PARTS = ("look", "fit", "test", "compare", "contrast", "studies")
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
@@ -72,7 +74,9 @@ sphinx_gallery_conf = {
     "backreferences_dir": "gallery/backreferences",
     "filename_pattern": r"plot_",
     "first_notebook_cell": "%matplotlib inline",
+    "subsection_order": [f"examples/{part}" for part in PARTS],
     "within_subsection_order": "FileNameSortKey",
+    "nested_sections": False,
     "image_scrapers": ("figures.last_figure",),
     "capture_repr": ("_repr_html_", "__repr__"),
     "ignore_repr_types": r"matplotlib\.figure|StyledFigure",
@@ -105,7 +109,16 @@ html_theme_options = {
     "show_toc_level": 2,
 }
 html_sidebars: dict[str, list[str]] = {
-    page: [] for page in ("index", "tutorial", "gallery/**", "_modules/**", "search", "genindex")
+    page: []
+    for page in (
+        "index",
+        "tutorial",
+        "gallery/**",
+        "scenes/**",
+        "_modules/**",
+        "search",
+        "genindex",
+    )
 }
 copybutton_selector = "div:not(.output) > div.highlight > pre"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "

@@ -1,6 +1,6 @@
 """Save every figure of the gallery as PDF and PNG, and print its size and kinds of fonts.
 
-Usage: ``python tools/gallery_figures.py FOLDER [NAME ...]``, with names such as ``plot_02_look``.
+Usage: ``python tools/gallery_figures.py FOLDER [NAME ...]``, with names such as ``plot_2_look``.
 It ends with 1 if a figure holds a Type 3 font, which publishers refuse, or more than 500 KB.
 """
 
@@ -43,7 +43,7 @@ def main() -> int:
     folder, names = Path(sys.argv[1]), sys.argv[2:]
     folder.mkdir(parents=True, exist_ok=True)
     refused = 0
-    for script in sorted(EXAMPLES.glob("plot_*.py")):
+    for script in sorted(EXAMPLES.rglob("plot_*.py")):
         if names and script.stem not in names:
             continue
         begin = time.monotonic()

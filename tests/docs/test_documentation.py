@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import pydoc
 import re
 import runpy
@@ -29,6 +30,10 @@ PAGES = {
     for path in sorted(DOCS.rglob("*.rst"))
     if not {"_build", "_templates", "examples", "gallery", "generated"}
     & {*path.relative_to(DOCS).parts}
+}
+EXAMPLES = {
+    str(path.relative_to(DOCS / "examples")): path.read_text(encoding="utf-8")
+    for path in sorted((DOCS / "examples").rglob("plot_*.py"))
 }
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -75,8 +80,7 @@ def commands() -> set[str]:
         lines += re.findall(r"^ +\$ (.*)$", page, re.MULTILINE)
     for command in get_command(app).commands.values():
         lines.append((command.epilog or "").removeprefix("Example: "))
-    examples = [path.read_text(encoding="utf-8") for path in (DOCS / "examples").glob("*.py")]
-    for text in (*examples, *PAGES.values()):
+    for text in (*EXAMPLES.values(), *PAGES.values()):
         lines += re.findall(r"``(chdstat [^`]+ [^`]+)``", text)
     return {line.strip() for line in lines if line.strip().startswith("chdstat ")}
 
@@ -124,11 +128,46 @@ def chd_name(name: str) -> str:
     return f"chdstat.{name.removeprefix('chdstat.')}"
 
 
-def test_links_between_examples_lead_to_examples() -> None:
-    folder = DOCS / "examples"
-    for path in folder.glob("plot_*.py"):
-        linked = set(re.findall(r"<(plot_\w+)\.html>", path.read_text(encoding="utf-8")))
-        assert not [name for name in linked if not (folder / f"{name}.py").exists()], path.name
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_links_between_examples_lead_somewhere(example: str) -> None:
+    page = DOCS / "gallery" / example
+    linked = re.findall(r"<([\w./-]+)\.html>", EXAMPLES[example].replace("\n#", ""))
+    assert linked
+    for link in linked:
+        target = Path(os.path.normpath(page.parent / link))
+        source = (
+            DOCS / "examples" / target.relative_to(DOCS / "gallery")
+            if (target.is_relative_to(DOCS / "gallery"))
+            else target
+        )
+        assert source.with_suffix(".py").exists() or source.with_suffix(".rst").exists(), link
+
+
+PARTS = r"(?<!one )\b(third|quarter|fifth|sixth|seventh|eighth|ninth|tenth)s?\b"
+"""Fractions, which are measured where they are written in words."""
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_numbers_in_text_are_those_of_the_code(example: str) -> None:
+    """What was measured is printed by the page; its text has only numbers that its code sets."""
+    lines = re.sub(r'^"""(.*?)"""', r"", EXAMPLES[example], flags=re.DOTALL).splitlines()
+    text = "\n".join(x for x in lines if x.startswith("#") and "sphinx_gallery" not in x)
+    code = "\n".join(line for line in lines if not line.startswith("#"))
+    text = re.sub(r"``[^`]+``|<[^>]+>", "", text).replace(",", "")
+    known = set(re.findall(r"\d+(?:\.\d+)?", code)) | SETTLED
+    named = set(re.findall(r"(?<![\w.-])\d+(?:\.\d+)?(?![\w-])", text))
+    assert sorted(named - known) == []
+    assert re.findall(PARTS, text) == []
+
+
+SETTLED = {"2018", "2019", "0", "1", "2", "100", "95", "2048", "6400", "30000"}
+"""Years, ends of ranges, levels, and what a publication says of itself."""
+
+
+def test_every_example_says_what_it_proves() -> None:
+    for name, text in EXAMPLES.items():
+        assert re.search(r"^ *sentence = ", text, re.MULTILINE), name
+        assert "print(sentence)" in text, name
 
 
 @pytest.mark.parametrize("page", PAGES)
