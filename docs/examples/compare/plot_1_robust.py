@@ -41,12 +41,16 @@ found
 error, bias = found.measures["relmse_ratio"], found.measures["bias"]
 robust = found.estimators.index("median_of_means")
 ratio, lost = error[robust, -1], bias[robust, -1]  # averaged over the channels
-gain = "lowers" if ratio.high < 1 else "raises" if ratio.low > 1 else "may raise or lower"
+gain = (
+    "lowers the relative squared error" if ratio.high < 1
+    else "raises the relative squared error" if ratio.low > 1
+    else "has a relative squared error that the intervals do not tell from that of the mean"
+)  # fmt: skip
 price = "loses light" if lost.high < 0 else "may or may not lose light"
 sentence = (
-    f"A robust mean {gain} the relative error, to {ratio} times that of the mean, and {price}: "
-    f"the image of the median of means is {100 * float(lost.value):+.0f} % "
-    f"({100 * float(lost.low):+.0f} to {100 * float(lost.high):+.0f} %) off."
+    f"On caustics, the median of means {gain} ({ratio} times it) and {price}: its image differs by "
+    f"{100 * float(lost.value):+.0f} % ({100 * float(lost.low):+.0f} to "
+    f"{100 * float(lost.high):+.0f} %)."
 )
 print(sentence)
 
