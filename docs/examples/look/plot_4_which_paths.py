@@ -8,7 +8,8 @@ A pixel is noisy, and its distribution has two modes. Which of its paths are to 
 # %%
 # With ``by_depth``, every sample is rendered again with its path cut after two, three and four
 # segments. The random numbers are the same, and so are the paths: the differences are the light
-# that each sample gathers by paths of one length.
+# that each sample gathers by paths of one length. The maps show shares of the variance, in per
+# cent.
 
 # sphinx_gallery_panel = 1, 1
 import chdstat as chd
@@ -17,10 +18,10 @@ from chdstat import viz
 samples = chd.render("bathroom", spp=64, size=(64, 64), backend="scalar", by_depth=4)
 found = chd.patterns.attribute(samples)
 
-figure = viz.map_grid(4, columns=2)
+figure = viz.map_grid(4, columns=4)
 shares = found["variance_share"].transpose("segments", "y", "x")
 for ax, name, share in zip(figure.axes, found["paths"].values, shares, strict=True):
-    viz.value_map(100 * share, title=str(name), unit="% of the variance", limits=(0, 100), ax=ax)
+    viz.value_map(100 * share, title=str(name), limits=(0, 100), ax=ax)
 figure
 
 # %%

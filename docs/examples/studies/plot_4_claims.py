@@ -17,7 +17,7 @@ from chdstat import viz
 from chdstat.rendering.recipes import regions_of
 from chdstat.studies.claims import CLAIMS, SceneData
 
-samples = chd.render("caustic", spp=96, size=(64, 64), seed=1, backend="scalar")
+samples = chd.render("caustic", spp=128, size=(64, 64), seed=1, backend="scalar")
 data = SceneData("caustic", samples, regions_of(samples))
 for region in data.regions[:5]:
     print(f"{region.name.replace('-', ' ')} ({region.phenomenon}): {region.note}")
