@@ -31,6 +31,8 @@ DECADES = -0.5, 1.5
 COLOURS = "magma"
 QUALITY = {"": 88, "-noise": 70}
 """Of a picture, and of a map of noise, whose grain takes most of the bytes."""
+LARGEST = 60_000
+"""Bytes of a file."""
 BRIGHTEST = 0.01
 """Share of the samples whose part of the light is told."""
 
@@ -71,7 +73,10 @@ def make(name: str, folder: Path) -> dict[str, Any]:
     digests = {}
     for end, image in images.items():
         file = OUT / f"{name}{end}.webp"
-        Image.fromarray(image).save(file, quality=QUALITY[end], method=6)
+        for quality in range(QUALITY[end], 0, -10):
+            Image.fromarray(image).save(file, quality=quality, method=6)
+            if file.stat().st_size <= LARGEST:
+                break
         digests[file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
     return {
         "scene_hash": load_scene(name).hash,
