@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -131,6 +132,25 @@ def test_all_draw_the_same_curve():
     study = SceneStudy(SceneData("hall", samples, (region,)), ())
     (of_report,) = (figure for figure in FIGURES if figure.name == "regions")
     agree(curves[3:], on(of_report.draw(ReportData(study))))
+
+
+def test_label_modes_and_curve_agree_in_words():
+    """How many modes stand out, and what keeps the likelier family from a pixel."""
+    rng = np.random.default_rng(13)
+    two = rng.lognormal(-1.0, 0.5, 512) * np.where(rng.random(512) < 0.4, 60.0, 1.0)
+    found = chd.modality(two[np.newaxis])
+    assert found.in_words(0) == "2"
+    three = replace(found, modes=np.array([3]), ashman_d=np.array([[3.0, 1.2]]))
+    assert three.in_words(0) == "3, 2 of them clear"
+    assert replace(three, ashman_d=np.array([[1.0, 1.2]])).in_words(0) == "3 that overlap"
+    square = np.exp(rng.uniform(-3.0, 3.0, 512))  # one mode with edges that no family has
+    words = {}
+    for name, x in (("two", two), ("square", square)):
+        place = pixel(np.broadcast_to(x, (3, 512)).astype(np.float32))
+        table = tables.patterns_table(tables.columns_of([place], "all"))
+        words[name] = " ".join(row[2] for row in table["rows"] if "-like" in row[0])
+    assert ", but bimodal" in words["two"]
+    assert ", but misfit 0." in words["square"]
 
 
 def test_nearly_constant_samples_are_a_spike_without_fits():
