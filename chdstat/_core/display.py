@@ -196,7 +196,7 @@ def about(value: float, low: float, high: float, unit: str) -> str:
     >>> about(160.0, 64.0, 270.0, "spp"), about(9.7e3, 4e3, 2e4, "spp")
     ('about 150 spp, 64 to 270', 'about 10,000 spp, 4,000 to 20,000')
     >>> about(82.0, 63.0, math.inf, "samples"), about(87.2, math.nan, math.nan, "spp")
-    ('about 80 samples, 63 or more', 'about 87 spp')
+    ('63 samples or more', 'about 87 spp')
     """
 
     def rounded(x: float) -> str:
@@ -204,14 +204,14 @@ def about(value: float, low: float, high: float, unit: str) -> str:
 
     if not (math.isfinite(low) and high > low):
         return f"about {rounded(value)} {unit}"
-    half = ((2 * value if math.isinf(high) else high) - low) / 2
+    if math.isinf(high):
+        return f"{rounded(low)} {unit} or more"
     place = 10.0 ** math.floor(math.log10(value))
-    if half > place / 2:  # known to a factor: 1, 1.5, 2, 2.5, 3, 4 ...
+    if high - low > place:  # known to a factor: 1, 1.5, 2, 2.5, 3, 4 ...
         place /= 2 if value < 2.75 * place else 1
         value = max(round(value / place), 1) * place
-    least, most = rounded(low), rounded(high) if math.isfinite(high) else ""
-    reach = f", {least} to {most}" if most else f", {least} or more"
-    return f"about {rounded(value)} {unit}{reach if least != most else ''}"
+    ends = f", {rounded(low)} to {rounded(high)}" if rounded(low) != rounded(high) else ""
+    return f"about {rounded(value)} {unit}{ends}"
 
 
 def byte_size(count: float) -> str:

@@ -234,6 +234,8 @@ WORSE = "▲"
 """Marks an error that is surely above the mean's."""
 _GAIN = 0.1
 """Share of the mean's error from which a gain is worth a word."""
+_ANY = 1e3
+"""Upper end of an interval from which a ratio that may be below 1 may be any number."""
 _ONE = 5e-4
 """Distance to 1 that three digits do not show."""
 
@@ -271,10 +273,15 @@ def shown_ratio(row: Mapping[str, Any], name: str) -> str:
     >>> shown_ratio(row, "mse_ratio").replace("\N{NO-BREAK SPACE}", " ")
     '1.8 [1.4, 2.3] ▲'
     """
-    if not np.isfinite(row[name]):
+    if not is_told(row, name):
         return "cannot tell"
     sign = f"\N{NO-BREAK SPACE}{WORSE}" if effect_of(row, name) == "higher" else ""
     return ratio_in_words(row, name) + sign
+
+
+def is_told(row: Mapping[str, Any], name: str) -> bool:
+    """Return whether a ratio of errors says anything: it is known, and not just any number."""
+    return bool(np.isfinite(row[name]) and not row[f"{name}_low"] < 1 < row[f"{name}_high"] / _ANY)
 
 
 def ratio_in_words(row: Mapping[str, Any], name: str) -> str:

@@ -336,8 +336,8 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "null_heavy": "help paths to find the light: more {weight} for the one that matters, for "
         "light round corners {guided}, behind panes {thin}",
         "long_tail": "find the bright paths more often: {guided}; for caustics of small lights "
-        "{ptracer}; until then, take the default estimate, not the mean, and trust no error bar of "
-        "so many samples",
+        "{ptracer}; until then, trust no error bar of so many samples; the default estimate may be "
+        "closer than the mean",
         "firefly_dominated": "draw more samples of the pixel: if others are as bright, its tail is "
         "long; if none is, it had bad luck, and estimates that look at its neighbours may help",
         "bimodal": "{samples}: " + _AT_RATE + "; an emitter that makes one of the two gets more "

@@ -409,8 +409,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="long_tail",
         meaning="error bars of so many samples fail: rare bright paths carry light that they miss",
-        cure="sample the bright paths more often; until then, take the default estimate, not "
-        "the mean, and trust no error bar of so many samples",
+        cure="sample the bright paths more often; until then, trust no error bar of so many "
+        "samples; the default estimate may be closer than the mean",
         typical="a dark place among many lamps: one narrow hump, and far to its right a few "
         "samples more than a hundred times as bright; the running mean jumps",
         statistic="share of 95 % error bars of so many samples that miss the mean",

@@ -98,7 +98,9 @@ def report_content(
             "regions_chosen": found.chosen,
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
             "misfit": percent(float(dataset.attrs["threshold_misfit"])),
-            "order": ", ".join(label.words for label in Label if label.name.lower() in _FLAGS),
+            "order": ", ".join(
+                called(label.name.lower()) for label in Label if label.name.lower() in _FLAGS
+            ),
         }
         if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
             entries["noise"] = _noise_table(found)

@@ -36,6 +36,10 @@ _FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
 """Fonts of the text: the same as in figures, from Matplotlib."""
 
 
+_STEPS, _FILLED = 4, 0.55
+"""Sizes that are tried, and how much of the last page has to be filled."""
+
+
 @dataclass(frozen=True)
 class Document:
     """Content for a template.
@@ -81,12 +85,33 @@ def typeset(document: Document, target: Path) -> Path:
             for name, figure in document.figures.items():
                 figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
         try:
+            template = folder / document.template
+            how: Any = {"font_paths": [_FONTS], "sys_inputs": {"tight": _tightness(template)}}
             with writing(target) as partial:
-                typst.compile(folder / document.template, output=partial, font_paths=[_FONTS])
+                typst.compile(template, output=partial, **how)
         except (RuntimeError, typst.TypstError) as error:
             message = f"typesetting the report failed: {error}"
             raise ChdstatError(message) from error
     return target
+
+
+def _tightness(template: Path) -> str:
+    """Return how much smaller to set a document, so that its last page is at least half full.
+
+    The template says where it ends; one that does not is set as it is, and so is a single page.
+    """
+    import typst
+
+    filled = {}
+    for tight in map(str, range(_STEPS)):
+        asked: Any = {"font_paths": [_FONTS], "sys_inputs": {"tight": tight}}
+        ends = json.loads(typst.query(template, "<end>", field="value", **asked))
+        if not ends or ends[0]["pages"] == 1:
+            return tight
+        filled[tight] = ends[0]["filled"]
+        if filled[tight] >= _FILLED:
+            break
+    return max(filled, key=filled.__getitem__)
 
 
 def pages_of(path: Path) -> int:

@@ -16,7 +16,7 @@ from chdstat._core.resampling import Interval, mean_of
 from chdstat.analysis import NoiseShares, Overview, noise_intervals
 from chdstat.comparison import Comparison
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
-from chdstat.comparison.metrics import Effect, effect_of, ratio_in_words
+from chdstat.comparison.metrics import Effect, effect_of, is_told, ratio_in_words
 from chdstat.estimators import Combination
 from chdstat.patterns import Label
 from chdstat.patterns.attribution import largest_part
@@ -62,7 +62,9 @@ def headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str,
         rows += [] if noise.label == "null_heavy" else _nulls(scene)
         rows += [*_clamp(data.samples), *_trust(scene), *_fireflies(data, scene, noise)]
     helps = [] if found.comparison is None else [*_what_helps(found.comparison)]
-    harms = [] if found.comparison is None else [*_where_it_harms(found.comparison, scene, noise)]
+    harms = (
+        [] if found.comparison is None else [*where_it_harms(found.comparison, scene.pixels, noise)]
+    )
     rows = rows[: _MOST - len(helps) - len(harms)]
     if estimate is not None and len(rows) + len(helps) + len(harms) < _MOST:
         rows += _how_many_samples(estimate)
@@ -253,7 +255,7 @@ def gain(row: Mapping[str, Any], name: str, n: int) -> _Headline:
     effects = {name: effect_of(row, name) for name in _WORDS}
     errors = [
         f"its {word} error is {ratio_in_words(row, ratio)} times the mean's"
-        if math.isfinite(row[ratio])
+        if is_told(row, ratio)
         else f"the samples do not tell its {word} error over the mean's"
         for ratio, word in {"mse_ratio": "squared", "relmse_ratio": "relative squared"}.items()
     ]
@@ -263,7 +265,7 @@ def gain(row: Mapping[str, Any], name: str, n: int) -> _Headline:
         samples = about(n / ratio, n / row["mse_ratio_high"], most, "samples")
         errors[0] += f", as of a mean of {samples}"
     told = f"From {n} samples, {errors[0]}; {errors[1]}."
-    if not any(math.isfinite(row[ratio]) for ratio in _WORDS):
+    if not any(is_told(row, ratio) for ratio in _WORDS):
         told = f"The other samples do not tell its errors from {n} samples over those of the mean."
     evidence = [told, *_beside(row)]
     return f"{_effects_in_words(name, effects)}.", " ".join(evidence)
@@ -320,12 +322,10 @@ def rows_by_label(
     return rows
 
 
-def _where_it_harms(
-    comparison: Comparison, scene: Overview, noise: NoiseShares
-) -> Iterator[_Headline]:
+def where_it_harms(comparison: Comparison, pixels: int, noise: NoiseShares) -> Iterator[_Headline]:
     """Yield in which pixels the default estimate is worse than the mean, and what is better."""
     worse = {}
-    for label, rows in rows_by_label(comparison, noise, scene.pixels).items():
+    for label, rows in rows_by_label(comparison, noise, pixels).items():
         own = next((row for row in rows if row["estimator"] == DEFAULT_ESTIMATE), None)
         if own is not None and effect_of(own, "relmse_ratio") == "higher":
             worse[label] = _harm_in_words(own, rows)
@@ -358,5 +358,5 @@ def _listed(names: Sequence[str]) -> str:
 def row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
     """Return the row of an estimator, if its errors are known; else None."""
     rows = [] if comparison is None else comparison.table()
-    known = (row for row in rows if row["estimator"] == name and math.isfinite(row["mse_ratio"]))
+    known = (row for row in rows if row["estimator"] == name and is_told(row, "mse_ratio"))
     return next(known, None)

@@ -22,8 +22,9 @@ from chdstat.reporting import scene_report
 from chdstat.reporting.content import claim_content, finding_content, remake_note, with_others
 from chdstat.reporting.documents import Document, pages_of, typeset
 from chdstat.reporting.figures import FIGURES, claim_figures, save_comparison
+from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, PlotData
-from tests.pdf import text_of
+from tests.pdf import text_of, white_shares
 
 FIXED = ("mean", "median_of_means")
 
@@ -81,6 +82,27 @@ def test_a_short_report_is_read_in_minutes(radiance, short):
     assert "50 % of all samples find no light" in text_of(path, last=1)
     assert path.stat().st_size < 2e6
     assert list(path.parent.iterdir()) == [path]
+
+
+def check_pages(path):
+    """No page but the last ends in white, which is half full, and none has a hole."""
+    *first, last = white_shares(path)
+    assert all(below < 0.2 for below, _ in first), first
+    assert last[0] < 0.5 or not first, last
+    assert all(hole < 0.2 for _, hole in (*first, last)), (first, last)
+
+
+def test_no_page_of_a_report_is_half_empty(short):
+    check_pages(short[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spp", [32, 128])
+@pytest.mark.parametrize("scene", BUILTIN)
+def test_no_page_of_a_built_in_scene_is_half_empty(scene, spp, tmp_path):
+    path = chd.report(scene, tmp_path / "a.pdf", spp=spp, size=(32, 32), progress=False)
+    check_pages(path)
+    assert pages_of(path) <= 4
 
 
 def test_each_number_of_a_report_has_one_value(radiance, short):
@@ -156,6 +178,7 @@ def test_odd_samples_have_a_report(radiance, tmp_path, documents, name, change, 
         assert "What helps: more samples, at the usual rate" in text
         assert re.search(r"\[\d\d % to \d\d %\] of the samples find no light", text)
     assert pages_of(path) <= (3 if "noise" in figures else 1)
+    check_pages(path)
 
 
 def test_a_report_says_where_numbers_of_samples_differ(radiance, tmp_path):
