@@ -14,6 +14,7 @@ hold pickles, which run code when they are read. A folder of renders must be saf
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import functools
 import glob
@@ -416,6 +417,15 @@ def release(array: npt.NDArray[Any]) -> None:
         base = base.base if isinstance(base, np.ndarray) else base.obj
     if isinstance(base, mmap.mmap) and hasattr(base, "madvise"):
         base.madvise(mmap.MADV_DONTNEED)
+
+
+def trim() -> None:
+    """Return freed memory to the system, where the C library keeps it: glibc does for each thread.
+
+    What comes next may take as much in other places, such as the libraries of a denoiser.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 # --- locks --------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 import numpy as np
 
 from chdstat._core.arrays import whole
-from chdstat._core.files import checked_target, kept_until_written
+from chdstat._core.files import checked_target, kept_until_written, trim
 from chdstat._core.progress import track
 from chdstat.analysis import NoiseShares, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
@@ -237,6 +237,7 @@ class _Report:
         samples, full, short = self.samples, self.contents == "full", self.contents == "short"
         about: Any = {"progress": self.progress, "checkpoint": checkpoint}
         dataset = patterns_of(samples, families=not short, **about)
+        trim()
         noise = noise_of(dataset)
         comparison, why_not = self.compared(dataset, noise)
         if samples.shape[0] * samples.shape[1] < FEW_PIXELS:

@@ -58,7 +58,7 @@ _LEAST = 128
 SPREAD = {"stratified": 16, "multijitter": 16, "orthogonal": 25, "ldsampler": 16}
 """Samples of a sequence, by sampler."""
 _SEQUENCES = 16
-_IN_MEMORY = 2**27
+_IN_MEMORY = 2**26
 """Samples up to this many bytes are read into memory, as they are used several times."""
 
 StudySource = str | Path | Mapping[str, Any] | Scene | Samples
