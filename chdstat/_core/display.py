@@ -207,7 +207,7 @@ def about(value: float, low: float, high: float, unit: str) -> str:
     if math.isinf(high):
         return f"{rounded(low)} {unit} or more"
     place = 10.0 ** math.floor(math.log10(value))
-    if high - low > place:  # known to a factor: 1, 1.5, 2, 2.5, 3, 4 ...
+    if high > 2 * low:  # known to a factor of 2 at best: 1, 1.5, 2, 2.5, 3, 4 ...
         place /= 2 if value < 2.75 * place else 1
         value = max(round(value / place), 1) * place
     ends = f", {rounded(low)} to {rounded(high)}" if rounded(low) != rounded(high) else ""

@@ -36,7 +36,7 @@ _FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
 """Fonts of the text: the same as in figures, from Matplotlib."""
 
 
-_STEPS, _FILLED = 4, 0.55
+_STEPS, _FILLED = (0, 1, 2, 3, -1, -2), 0.55
 """Sizes that are tried, and how much of the last page has to be filled."""
 
 
@@ -103,7 +103,7 @@ def _tightness(template: Path) -> str:
     import typst
 
     filled = {}
-    for tight in map(str, range(_STEPS)):
+    for tight in map(str, _STEPS):
         asked: Any = {"font_paths": [_FONTS], "sys_inputs": {"tight": tight}}
         ends = json.loads(typst.query(template, "<end>", field="value", **asked))
         if not ends or ends[0]["pages"] == 1:
