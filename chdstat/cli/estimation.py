@@ -334,7 +334,7 @@ def contrast(
         times[name] = time.monotonic() - begin
     together = Contrasts(contrasts, alpha)
     if renders:
-        together = with_noise(together, renders, patterns=False)
+        together = with_noise(together, renders, patterns=False, progress=asked.progress)
     if page is not None:
         save_figure((together if len(names) > 1 else found).plot(), page)
     if table is not None:

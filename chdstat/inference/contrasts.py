@@ -514,6 +514,7 @@ class _Options(TypedDict, total=False):
     seconds: float | None
     distributions: bool
     seed: Seed
+    progress: bool
 
 
 @overload
@@ -534,6 +535,7 @@ def contrast(
     seconds: float | None = None,
     distributions: bool = False,
     seed: Seed = 0,
+    progress: bool = True,
 ) -> Contrast | Contrasts:
     """Test whether renders of a view have the same mean; of several, rank them by noise, too.
 
@@ -605,6 +607,9 @@ def contrast(
     seed
         Seed of the 499 flips for windows; p-values of pixels need no seed. Also the first seed of
         `draw`, which counts up from it.
+    progress
+        Show progress while renders are ranked: a bar in a terminal or notebook, elsewhere a line
+        every ten seconds.
 
     Returns
     -------
@@ -648,7 +653,7 @@ def contrast(
             given = type(a).__name__ if (spp, finds) == (None, None) else "spp or finds"
             message = f"without b, expected a list of finished renders, got {given}; give b, too"
             raise InputError(message)
-        return _ranked(a, alpha=alpha, **options)
+        return _ranked(a, alpha=alpha, progress=progress, **options)
     if isinstance(a, Mapping):
         if not a:
             message = "contrast needs a render, got an empty mapping"
@@ -670,7 +675,9 @@ def contrast(
     return finished(contrasting(a, b, alpha=alpha, **options))
 
 
-def _ranked(given: Mapping[str, Any] | Sequence[Any], *, alpha: float, **options: Any) -> Contrasts:
+def _ranked(
+    given: Mapping[str, Any] | Sequence[Any], *, alpha: float, progress: bool, **options: Any
+) -> Contrasts:
     """Return several renders contrasted with the last one, and ranked by their noise."""
     for one in given.values() if isinstance(given, Mapping) else given:
         if (image := Reference.of(one)) is not None:
@@ -692,11 +699,15 @@ def _ranked(given: Mapping[str, Any] | Sequence[Any], *, alpha: float, **options
         name: contrast(renders[name], renders[last], alpha=alpha / len(names), **options)
         for name in names
     }
-    return with_noise(Contrasts(found, alpha), renders)
+    return with_noise(Contrasts(found, alpha), renders, progress=progress)
 
 
 def with_noise(
-    found: Contrasts, renders: Mapping[str, Samples], *, patterns: bool = True
+    found: Contrasts,
+    renders: Mapping[str, Samples],
+    *,
+    patterns: bool = True,
+    progress: bool = True,
 ) -> Contrasts:
     """Return contrasts of renders with the last one, with their ranking by noise.
 
@@ -708,6 +719,8 @@ def with_noise(
         Samples of all renders by name, in the same order.
     patterns
         Say which patterns hold the noise, too; that takes longer than all else.
+    progress
+        Show progress, as `contrast`.
     """
     contrasts = [*found.contrasts.values()]
     sides = [*((of, "a", 0) for of in contrasts), (contrasts[0], "b", 1)]
@@ -721,7 +734,8 @@ def with_noise(
         )
         for (name, samples), (of, side, i) in zip(renders.items(), sides, strict=True)
     ]
-    return replace(found, noise=noise_ranking(ranked, alpha=found.alpha, patterns=patterns))
+    noise = noise_ranking(ranked, alpha=found.alpha, patterns=patterns, progress=progress)
+    return replace(found, noise=noise)
 
 
 def contrasting(

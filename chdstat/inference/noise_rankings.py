@@ -58,6 +58,8 @@ TIMING = 1.7
 each of five scenes, on a busy machine, differed by up to 1.6."""
 _PATTERNS = 3
 """Most patterns by which the noise of a render is explained."""
+_APART = 4
+"""Examples are this part of the longer edge of the image away from each other."""
 _PIXELS = 2
 """Pixels whose samples are kept as examples."""
 
@@ -766,9 +768,10 @@ def _examples(
     names = [render.name for render in renders]
     gap = np.nan_to_num(noise.max(axis=0) - noise.min(axis=0), nan=-1, posinf=-1)
     found: list[ExamplePixel] = []
-    wanted = [names.index(name) for name in order.names] + [-1]
-    for winner in wanted:
-        here = np.flatnonzero((least == winner) & (gap > 0))
+    winners = [names.index(name) for name in order.names]
+    free = np.ones(gap.shape, bool)
+    for winner in (*winners, *winners, -1):
+        here = np.flatnonzero((least == winner) & (gap > 0) & free)
         if winner >= 0:
             # The winner of a cell should look like it in the pixel, too.
             here = here[noise.reshape(len(names), -1)[:, here].argmin(axis=0) == winner]
@@ -783,6 +786,8 @@ def _examples(
             for render in renders
         }
         of = names[winner] if winner >= 0 else ""
+        far = max(gap.shape) // _APART
+        free[max(0, y - far) : y + far + 1, max(0, x - far) : x + far + 1] = False
         found.append(ExamplePixel(y, x, of, samples))
     return tuple(found)
 

@@ -152,7 +152,7 @@ def report(
         options = {"recipe": recipe, "store": store, "estimators": estimators, **given}
         options |= {"iterations": iterations, "as_published": as_published or None}
         options |= {"contents": None if contents == "short" else contents}
-        return _of_several(source, target, options)
+        return _of_several(source, target, options, progress)
     finished = open_samples(source) if is_store(source) else source
     if isinstance(finished, Samples):
         refuse_render(finished, given | {"spp": None, "store": store})
@@ -178,7 +178,9 @@ def report(
         return typeset(document, target)
 
 
-def _of_several(sources: Sequence[Any], target: Path, options: Mapping[str, Any]) -> Path:
+def _of_several(
+    sources: Sequence[Any], target: Path, options: Mapping[str, Any], progress: bool
+) -> Path:
     """Write the report on several renders."""
     if others := [name for name, value in options.items() if value not in (None, "auto")]:
         message = f"a report on several renders takes no {', '.join(others)}: leave it out"
@@ -190,7 +192,7 @@ def _of_several(sources: Sequence[Any], target: Path, options: Mapping[str, Any]
                 f"{one.name if isinstance(one, Scene) else one}: render it first, with -o or out="
             )
             raise InputError(message)
-    return contrast(sources).report(target)
+    return contrast(sources, progress=progress).report(target)
 
 
 def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:

@@ -231,7 +231,7 @@ def test_a_ranking_is_taken_away_as_a_table_and_as_json(ranked):
     assert frame["outcome"].isna().tolist() == [False, False, True]
     told = json.loads(json.dumps(ranked.to_dict(), allow_nan=False))
     assert told["noise"]["orders"]["equal spp"]["names"] == ["B", "A", "C"]
-    assert len(repr(ranked).splitlines()) <= 12
+    assert "least noisy" in repr(ranked)
     assert "<table" in ranked._repr_html_()
 
 
