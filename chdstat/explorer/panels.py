@@ -529,7 +529,7 @@ def image_panel(view: View, overalls: Mapping[str, Overall], channels: Sequence[
     lines, notes = list[Trace](), list[str]()
     for k, (name, overall) in enumerate(overalls.items()):
         color = RENDER_COLORS[k % 6] if len(overalls) > 1 else BLENDED
-        outline = image_outline(view.channel, overall, len(channels))
+        outline = _image_outline(view.channel, overall, len(channels))
         if outline[0].size:
             lines.append(Trace(*outline, color, fill=True))
             good = float(np.nansum(overall.good_count))
@@ -547,7 +547,7 @@ def image_panel(view: View, overalls: Mapping[str, Overall], channels: Sequence[
     return PanelData(lines, notes=[" · ".join(notes)] if notes else ["no samples of the image yet"])
 
 
-def image_outline(channel: str, overall: Overall, channels: int) -> tuple[Array, Array]:
+def _image_outline(channel: str, overall: Overall, channels: int) -> tuple[Array, Array]:
     """Return the outline of the density of all samples of an image; empty without any."""
     row = -1 if channel in ("all", "luminance") or channels == 1 else int(channel)
     return _per_decade(overall.histogram[row, 1:-1])
@@ -568,7 +568,7 @@ def beside(panel: PanelData, overall: Overall, series: Sequence[_Series]) -> Pan
     low, high = own.min(initial=np.inf), own.max(initial=0.0)
     for s in {s.row: s for s in series}.values():
         channel = str(s.row) if s.row < len(s.place.channels) else "luminance"
-        x, y = image_outline(channel, overall, len(s.place.channels))
+        x, y = _image_outline(channel, overall, len(s.place.channels))
         inside = (x >= low) & (x <= high)
         around.append(Trace(x[inside], y[inside], s.color, "2 4", 1.4))
     return replace(panel, lines=[*panel.lines, *around], notes=[*panel.notes, "dotted: the image"])
