@@ -38,6 +38,12 @@ found
 # %%
 # In words:
 
+
+def told(x):
+    """Return a number with its interval."""
+    return f"{x.value:.2g} ({x.low:.2g} to {x.high:.2g})"
+
+
 error, bias = found.measures["relmse_ratio"], found.measures["bias"]
 robust = found.estimators.index("median_of_means")
 ratio, lost = error[robust, -1], bias[robust, -1]  # averaged over the channels
@@ -48,8 +54,8 @@ gain = (
 )  # fmt: skip
 price = "loses light" if lost.high < 0 else "may or may not lose light"
 sentence = (
-    f"On caustics, the median of means {gain} ({ratio} times it) and {price}: its image differs by "
-    f"{100 * float(lost.value):+.0f} % ({100 * float(lost.low):+.0f} to "
+    f"On caustics, the median of means {gain} ({told(ratio)} times it) and {price}: its "
+    f"image differs by {100 * float(lost.value):+.0f} % ({100 * float(lost.low):+.0f} to "
     f"{100 * float(lost.high):+.0f} %)."
 )
 print(sentence)

@@ -23,6 +23,12 @@ viz.estimator_measures(found)
 # came closer to the truth, stayed, or moved away; hatched is what the other samples cannot tell.
 # Lines are 95 % intervals over blocks of pixels.
 
+
+def told(x):
+    """Return a number with its interval."""
+    return f"{x.value:.2g} ({x.low:.2g} to {x.high:.2g})"
+
+
 # The last column is the average over the channels.
 error, bias = (found.measures[name][:, -1] for name in ("mse_ratio", "bias"))
 better = [i for i, high in enumerate(error.high) if i and high < 1]
@@ -33,7 +39,8 @@ sentence = (
     f"Of {len(names) - 1} estimators, {len(better)} surely have a smaller squared error than the "
     f"mean and {len(dark)} surely lose light"
     + (
-        f"; the smallest error, {error[best]} times that of the mean, is that of {called[best]}."
+        f"; the smallest error, {told(error[best])} times that of the mean, is that of "
+        f"{called[best]}."
         if best
         else "."
     )

@@ -32,12 +32,18 @@ found
 # %%
 # As a sentence, with what the intervals allow:
 
+
+def told(x):
+    """Return a number with its interval."""
+    return f"{x.value:.2g} ({x.low:.2g} to {x.high:.2g})"
+
+
 mse, bias = (found.measures[name][1, -1] for name in ("mse_ratio", "bias"))
 word = "lowers" if mse.high < 1 else "raises" if mse.low > 1 else "neither surely lowers nor raises"
 off = "darkens" if bias.high < 0 else "brightens" if bias.low > 0 else "does not surely change"
 sentence = (
     f"Trained on two thousand pixels of one scene, the paper's network {word} the squared error of "
-    f"the mean ({mse} times it) on pixels that it has not seen, and {off} the image "
+    f"the mean ({told(mse)} times it) on pixels that it has not seen, and {off} the image "
     f"({100 * bias.value:+.0f} %, {100 * bias.low:+.0f} to {100 * bias.high:+.0f} %)."
 )
 print(sentence)

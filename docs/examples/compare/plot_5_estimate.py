@@ -29,6 +29,12 @@ viz.side_by_side(
 # %%
 # How much closer it is, `chdstat.compare` measures against the other samples, without their noise:
 
+
+def told(x):
+    """Return a number with its interval."""
+    return f"{x.value:.2g} ({x.low:.2g} to {x.high:.2g})"
+
+
 judged = chd.compare(samples, ["mean", "combination"], max_batches=1, progress=False)
 error = judged.measures["relmse_ratio"][1, -1]
 verdict = (
@@ -38,7 +44,7 @@ verdict = (
 )  # fmt: skip
 sentence = (
     f"From the same 32 samples, without a reference, the estimate is {verdict} their mean: its "
-    f"relative squared error is {error} times that of the mean."
+    f"relative squared error is {told(error)} times that of the mean."
 )
 print(sentence)
 judged

@@ -40,6 +40,12 @@ found
 # %%
 # As a sentence, with what the intervals allow:
 
+
+def told(x):
+    """Return a number with its interval."""
+    return f"{x.value:.2g} ({x.low:.2g} to {x.high:.2g})"
+
+
 error = found.measures["relmse_ratio"]
 plain, better = error[1, -1], error[3, -1]
 word = (
@@ -48,11 +54,11 @@ word = (
     else "an error that the intervals do not tell from that of"
 )  # fmt: skip
 sentence = (
-    f"The denoiser lowers the relative squared error to {plain} times that of the mean of 32 "
-    f"samples; from the shared shape it ends at {better}, {word} the denoised mean."
+    f"The denoiser lowers the relative squared error to {told(plain)} times that of the mean of 32 "
+    f"samples; from the shared shape it ends at {told(better)}, {word} the denoised mean."
     if plain.high < 1
-    else f"The denoised mean has {plain} times the relative squared error of the mean, from the "
-    f"shared shape it is {better}."
+    else f"The denoised mean has {told(plain)} times the relative squared error of the mean, from "
+    f"the shared shape it is {told(better)}."
 )
 print(sentence)
 
