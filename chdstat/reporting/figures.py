@@ -446,9 +446,9 @@ the theorem predicts (dashed). The fewer averages there are, the more their meas
 biased towards 0.""", full=True),
     ReportFigure("breakdown", "estimators", _breakdown, """
 *Which estimator for which pattern.* Relative squared error over that of the mean, for the pixels of
-each first pattern; the smallest of those that look at one pixel is framed, and pale numbers cannot
-be distinguished from the mean. Labels come from the same samples: where one batch made a pixel
-firefly-dominated, any robust estimator gains.""", full=True),
+each first pattern; the smallest of those that look at one pixel is framed, pale numbers cannot be
+distinguished from the mean, and bold ones with a sign are surely worse. Labels come from the same
+samples: where one batch made a pixel firefly-dominated, any robust estimator gains.""", full=True),
     ReportFigure("curve", "estimators", _curve, """
 *Error against the number of samples*, with 95 % intervals over blocks of pixels.""", full=True),
     ReportFigure("pixels", "estimators", _pixel_estimates, """

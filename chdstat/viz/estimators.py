@@ -22,6 +22,7 @@ from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
+from chdstat.comparison.metrics import WORSE
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
 from chdstat.viz.chd import Channels, chosen, one_of
@@ -64,7 +65,8 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
     """Draw the ratio of relMSE to that of the mean, by pattern and estimator, as a coloured table.
 
     A frame marks the smallest error of each pattern among the estimators of single pixels. Numbers
-    are pale if their interval contains 1, the value of the sample mean. Patterns without an error
+    are pale if their interval contains 1, the value of the sample mean; bold ones with a sign are
+    surely worse. Patterns without an error
     of the mean, such as constant pixels, have no row.
 
     Parameters
@@ -92,7 +94,10 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
         at = ratio[row, column]
         text = f"{at.value:.{2 if at.value < 9.95 else 0}f}"
         ink = "#111111" if at.low > 1 or at.high < 1 else "#999999"
-        ax.text(column, row, text, ha="center", va="center", color=ink)
+        heavy = "normal"
+        if at.low > 1:
+            text, heavy = f"{text} {WORSE}", "bold"
+        ax.text(column, row, text, ha="center", va="center", color=ink, fontweight=heavy)
         if found.estimators[column] == best[row]:
             corner = (column - 0.47, row - 0.45)
             frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
