@@ -109,6 +109,17 @@ def percent(share: float, *, sign: bool = False, step: float = 0.0) -> str:
     return text.replace("-", "−")
 
 
+def capital(text: str) -> str:
+    """Return a sentence with its first letter in upper case, unless it begins with a name in code.
+
+    Examples
+    --------
+    >>> capital("many samples"), capital("sample_count: four times as many"), capital("")
+    ('Many samples', 'sample_count: four times as many', '')
+    """
+    return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
+
+
 def step_of(low: float, high: float, *, beside: Sequence[float] = ()) -> float:
     """Return the place of the last digit that an interval supports, a power of ten; 0 for all.
 

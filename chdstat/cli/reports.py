@@ -287,6 +287,7 @@ def list_names(
     kind : str, default all five
         What to list.
     """
+    from chdstat._core.display import capital
     from chdstat.estimators import lookup, names
     from chdstat.fit.families import FAMILIES
     from chdstat.io.reading import FORMATS
@@ -301,7 +302,7 @@ def list_names(
         "scenes": BUILTIN,
         "estimators": {name: lookup(name).about for name in names()},
         "families": families,
-        "patterns": {p.name: f"{p.meaning[0].upper()}{p.meaning[1:]}." for p in PATTERNS},
+        "patterns": {p.name: f"{capital(p.meaning)}." for p in PATTERNS},
         "formats": formats,
     }
     shown = found if kind is None else {kind: found[kind]}

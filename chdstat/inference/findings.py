@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from chdstat._core.arrays import Array, plain
-from chdstat._core.display import Card, Shown, number
+from chdstat._core.display import Card, Shown, capital, number
 from chdstat._core.resampling import LEVEL, Interval
 
 T = TypeVar("T")
@@ -251,7 +251,7 @@ class Finding(Shown):
                 "cannot tell": f"{test}; {self._advice(test)}",
             }[verdict]
             text = f"for {self.model}: {text}" if self.model else text
-        return f"{text[:1].upper()}{text[1:]}."
+        return f"{capital(text)}."
 
     def _advice(self, test: ClaimTest) -> str:
         """Return how many samples would decide, if intervals shrink with their square root."""

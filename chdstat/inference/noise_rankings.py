@@ -34,7 +34,7 @@ from chdstat._core.arrays import (
     label_variables,
     plain,
 )
-from chdstat._core.display import Tabled, number, percent
+from chdstat._core.display import Tabled, capital, number, percent
 from chdstat._core.doors import classified
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
@@ -310,9 +310,7 @@ class NoiseRanking(Tabled):
     def sentences(self) -> list[str]:
         """Return what was found, sentence by sentence."""
         found = [order.conclusion for order in self.orders.values()]
-        return found + [
-            f"{name[0].upper()}{name[1:]}: {text}." for name, text in self.facts().items()
-        ]
+        return found + [f"{capital(name)}: {text}." for name, text in self.facts().items()]
 
     def facts(self, *, brief: bool = False) -> dict[str, str]:
         """Return what there is to know beside the order, by what it is about."""

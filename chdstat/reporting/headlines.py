@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from chdstat._core.display import about, percent, with_interval
+from chdstat._core.display import about, capital, percent, with_interval
 from chdstat._core.resampling import Interval, mean_of
 from chdstat.analysis import NoiseShares, Overview, noise_intervals
 from chdstat.comparison import Comparison
@@ -105,7 +105,7 @@ def _largest_noise(data: SceneData, noise: NoiseShares) -> _Headline:
     one = pixels_of(first)
     return (
         "No pattern surely holds the largest part of the noise.",
-        f"{one[0].upper()}{one[1:]} hold {share[first]} of the relative variance in {size[first]} "
+        f"{capital(one)} hold {share[first]} of the relative variance in {size[first]} "
         f"of the image, {pixels_of(second)} {share[second]} in {size[second]}. What helps in the "
         f"former: {cure}; in the latter: {other_cure}.",
     )
@@ -114,8 +114,7 @@ def _largest_noise(data: SceneData, noise: NoiseShares) -> _Headline:
 def _meaning(label: str, data: SceneData) -> tuple[str, str]:
     """Return what a pattern means, and what helps."""
     about_it = Label[label.upper()]
-    words = about_it.meaning
-    return f"{words[0].upper()}{words[1:]}", about_it.cure_by(data.samples.attrs)
+    return capital(about_it.meaning), about_it.cure_by(data.samples.attrs)
 
 
 def pixels_of(label: str) -> str:
@@ -159,8 +158,7 @@ def _which_paths(data: SceneData) -> Iterator[_Headline]:
             who = f"paths of {part.name}" if part.place else "emitted and direct light"
         plural = by == "depth" and bool(part.place)
         yield (
-            f"{who[0].upper()}{who[1:]} make{'' if plural else 's'} the largest part of the "
-            "variance."
+            f"{capital(who)} make{'' if plural else 's'} the largest part of the variance."
             if part.lead.low > 0
             else f"Whether {who} or other light makes the largest part of the variance cannot be "
             "told.",
@@ -273,7 +271,6 @@ def gain(row: Mapping[str, Any], name: str, n: int) -> _Headline:
 
 def _effects_in_words(name: str, effects: Mapping[str, Effect]) -> str:
     """Return what an estimator does to both errors, as far as their intervals say so."""
-    name = name[0].upper() + name[1:]
     by = {kind: [_WORDS[n] for n, e in effects.items() if e == kind] for kind in effects.values()}
     verbs = {"lower": "lowers", "higher": "raises"}
     parts = [
@@ -282,10 +279,10 @@ def _effects_in_words(name: str, effects: Mapping[str, Effect]) -> str:
         if kind in by
     ]
     if parts:
-        return f"{name} {', but '.join(parts)}"
+        return f"{capital(name)} {', but '.join(parts)}"
     if "cannot tell" in by:
-        return f"Whether {name[0].lower()}{name[1:]} helps cannot be told"
-    return f"{name} does not help measurably"
+        return f"Whether {name} helps cannot be told"
+    return f"{capital(name)} does not help measurably"
 
 
 def _beside(row: Mapping[str, Any]) -> Iterator[str]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from chdstat import viz
-from chdstat._core.display import number, percent
+from chdstat._core.display import capital, number, percent
 from chdstat._core.doors import report
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
@@ -41,7 +41,7 @@ def _ranking_document(found: Contrasts) -> Document:
         )
         raise InputError(message)
     sizes, last = noise.maps.sizes, noise.names[-1]
-    facts = {f"{n[0].upper()}{n[1:]}": text for n, text in noise.facts(brief=True).items()}
+    facts = {capital(n): text for n, text in noise.facts(brief=True).items()}
     orders = {f"At {at}": order.conclusion.partition(", ")[2] for at, order in noise.orders.items()}
     content = {
         "names": noise.names,
