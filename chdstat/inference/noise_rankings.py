@@ -724,7 +724,10 @@ def _light_and_good(x: Image) -> tuple[Image, Mask]:
 def _causes(
     names: Sequence[str], noise: Floats, order: NoiseOrder, shown: Mapping[str, Any]
 ) -> Iterator[NoiseCause]:
-    """Yield what the noise of each render comes from that is surely noisier than the first."""
+    """Yield what the noise of each render comes from that is surely noisier than the first.
+
+    A pattern is named if it surely holds some of the additional noise.
+    """
     least = order.names[0]
     known = np.isfinite(noise).all(axis=0).ravel()
     if not known.any() or least not in shown:
@@ -745,13 +748,16 @@ def _causes(
         tails = found["luminance_tail_index"].to_numpy().ravel()[known]
         for code in sorted(held, key=lambda label: -held[label])[:_PATTERNS]:
             here = labels == code
+            share = cost_ratio(np.where(here, more, 0), more, blocks, least=-np.inf)
+            if not share.low > 0:
+                continue
             tail = tails[here & np.isfinite(tails)]
             yield NoiseCause(
                 name=name,
                 least=least,
                 pattern=flag_names(found["label"].attrs)[int(code)],
                 pixels=float(here.mean()),
-                share=cost_ratio(np.where(here, more, 0), more, blocks, least=-np.inf),
+                share=share,
                 ratio=cost_ratio(own[here], first[here], blocks[here]),
                 null_share=mean_of(null[name][here], blocks[here]),
                 least_null_share=float(null[least][here].mean()),
