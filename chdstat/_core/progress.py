@@ -32,7 +32,7 @@ _PAUSE = 1.0
 
 
 @dataclass(eq=False)
-class _Job:
+class _TrackedWork:
     """A piece of work: what it is, how much there is in all, and how much is done."""
 
     what: str
@@ -48,13 +48,13 @@ class _Job:
         return min(self.done / self.total, 1.0) if self.total else 0.0
 
 
-def _told(jobs: list[_Job], now: float) -> str:
+def _told(jobs: list[_TrackedWork], now: float) -> str:
     """Return what is being done, its share, and the time left.
 
     Examples
     --------
-    >>> study = _Job("studying scenes", 8, began=0, done=2)
-    >>> _told([study, _Job("rendering fog", 100, began=50, done=5)], now=60)
+    >>> study = _TrackedWork("studying scenes", 8, began=0, done=2)
+    >>> _told([study, _TrackedWork("rendering fog", 100, began=50, done=5)], now=60)
     'studying scenes: 25 %, about 3 min left; rendering fog: 5.0 %'
     """
     texts, is_left_told = [], False
@@ -75,11 +75,11 @@ def _told(jobs: list[_Job], now: float) -> str:
 class _Display(Protocol):
     """Shows the jobs under way from the first one's begin to the last one's end."""
 
-    def begin(self, job: _Job) -> None: ...
+    def begin(self, job: _TrackedWork) -> None: ...
 
-    def advance(self, job: _Job, amount: float) -> None: ...
+    def advance(self, job: _TrackedWork, amount: float) -> None: ...
 
-    def end(self, job: _Job) -> None: ...
+    def end(self, job: _TrackedWork) -> None: ...
 
     def close(self) -> None: ...
 
@@ -95,8 +95,8 @@ class _Here(threading.local):
 
 
 _here = _Here()
-_jobs: list[_Job] = []
-"""The jobs under way, the outermost first."""
+_jobs: list[_TrackedWork] = []
+"""The pieces of work under way, the outermost first."""
 _display: _Display | None = None
 _changing = threading.Lock()
 _line_before = _ended = -float("inf")
@@ -141,7 +141,7 @@ def track(
         finally:
             _silent.set(before)
         return
-    job = _Job(description, total, unit, time.monotonic())
+    job = _TrackedWork(description, total, unit, time.monotonic())
     display = _begin(job)
 
     def advance(amount: float) -> None:
@@ -155,7 +155,7 @@ def track(
         _end(job)
 
 
-def _begin(job: _Job) -> _Display:
+def _begin(job: _TrackedWork) -> _Display:
     """Add a job to those under way, and show it."""
     global _display
     with _changing:
@@ -166,7 +166,7 @@ def _begin(job: _Job) -> _Display:
         return _display
 
 
-def _end(job: _Job) -> None:
+def _end(job: _TrackedWork) -> None:
     """Take a job from those under way; the display ends with the last one."""
     global _display, _ended
     with _changing:
@@ -197,13 +197,13 @@ class _Timed:
         self._writer = threading.Thread(target=self._run, name="chdstat-progress", daemon=True)
         self._writer.start()
 
-    def begin(self, job: _Job) -> None:
+    def begin(self, job: _TrackedWork) -> None:
         """Nothing is written before it is due."""
 
-    def advance(self, job: _Job, amount: float) -> None:
+    def advance(self, job: _TrackedWork, amount: float) -> None:
         """Nothing is written before it is due."""
 
-    def end(self, job: _Job) -> None:
+    def end(self, job: _TrackedWork) -> None:
         """Nothing is written before it is due."""
 
     def close(self) -> None:
@@ -221,7 +221,7 @@ class _Timed:
         """Return the seconds until the next writing."""
         raise NotImplementedError
 
-    def _write(self, jobs: list[_Job]) -> None:
+    def _write(self, jobs: list[_TrackedWork]) -> None:
         raise NotImplementedError
 
 
@@ -237,7 +237,7 @@ class _Lines(_Timed):
     def _due(self) -> float:
         return max(0.0, _line_before + _LINE_EVERY - time.monotonic())
 
-    def _write(self, jobs: list[_Job]) -> None:
+    def _write(self, jobs: list[_TrackedWork]) -> None:
         global _line_before
         _line_before = time.monotonic()
         with contextlib.suppress(OSError, ValueError, AttributeError):  # the log is gone
@@ -260,7 +260,7 @@ class _Html(_Timed):
     def _due(self) -> float:
         return _BAR_EVERY
 
-    def _write(self, jobs: list[_Job]) -> None:
+    def _write(self, jobs: list[_TrackedWork]) -> None:
         text = _told(jobs, time.monotonic())
         share = next((job.share for job in jobs if job.share), None)
         value = "" if share is None else f' value="{share:.4f}"'
@@ -287,16 +287,16 @@ class _Bars:
             bars.TimeRemainingColumn(),
         )
         self._bars = bars.Progress(*columns, console=Console(stderr=True))
-        self._tasks: dict[_Job, Any] = {}
+        self._tasks: dict[_TrackedWork, Any] = {}
         self._bars.start()
 
-    def begin(self, job: _Job) -> None:
+    def begin(self, job: _TrackedWork) -> None:
         self._tasks[job] = self._bars.add_task(job.what, total=job.total or None, unit=job.unit)
 
-    def advance(self, job: _Job, amount: float) -> None:
+    def advance(self, job: _TrackedWork, amount: float) -> None:
         self._bars.advance(self._tasks[job], amount)
 
-    def end(self, job: _Job) -> None:
+    def end(self, job: _TrackedWork) -> None:
         task = self._tasks.pop(job)
         if self._tasks:  # what stays on the screen is the outermost bar
             self._bars.remove_task(task)

@@ -133,10 +133,10 @@ def _pattern_value(pattern: Pattern, place: Pixel, *, alone: bool) -> str:
     low, high = map(float, interval)
     shown = "—" if hidden else with_interval(value, low, high, text)
     sign = "●" if found.flags[pattern.name] else "○"
-    return f"{sign}\N{NO-BREAK SPACE}{shown}{_doubt(pattern, place)}"
+    return f"{sign}\N{NO-BREAK SPACE}{shown}{_what_speaks_against(pattern, place)}"
 
 
-def _doubt(pattern: Pattern, place: Pixel) -> str:
+def _what_speaks_against(pattern: Pattern, place: Pixel) -> str:
     """Return what keeps the likelier family from describing a pixel; "" where it does."""
     found = place.patterns
     family = pattern.name in {"gamma_like", "lognormal_like"}

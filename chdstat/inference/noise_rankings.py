@@ -489,7 +489,7 @@ def noise_ranking(
         maps=_dataset(renders, noise, least, q, ats),
         spp={render.name: render.samples.spp_range for render in renders},
         seconds=seconds,
-        causes=tuple(_causes(names, noise, orders["equal spp"], shown)),
+        causes=tuple(_explanations(names, noise, orders["equal spp"], shown)),
         doubtful=doubtful,
         examples=_examples(renders, noise, least[0], orders["equal spp"]),
         settings=_settings(renders),
@@ -721,7 +721,7 @@ def _light_and_good(x: Image) -> tuple[Image, Mask]:
 
 
 @np.errstate(all="ignore")
-def _causes(
+def _explanations(
     names: Sequence[str], noise: Floats, order: NoiseOrder, shown: Mapping[str, Any]
 ) -> Iterator[NoiseCause]:
     """Yield what the noise of each render comes from that is surely noisier than the first.

@@ -55,7 +55,7 @@ def _ranking_document(found: Contrasts) -> Document:
         "level": percent(noise.level),
         "rate": percent(noise.alpha),
         "timing": TIMING,
-        "causes": _causes(noise),
+        "causes": _explanations(noise),
         "settings": [{"name": name, "values": values} for name, values in noise.settings.items()],
     }
     return Document("ranking_report.typ", content, {"renders": viz.contrast(found)})
@@ -84,7 +84,7 @@ def _difference(loss: Interval[float]) -> str:
     return Interval(value, low, high).shown(partial(percent, sign=True))
 
 
-def _causes(noise: NoiseRanking) -> list[dict[str, str]]:
+def _explanations(noise: NoiseRanking) -> list[dict[str, str]]:
     """Return a row for each pattern that holds noise of a render."""
     return [
         {

@@ -68,9 +68,9 @@ def test_work_within_work_shares_a_line(quick, capfd):
 
 
 def test_the_time_left_follows_the_share():
-    jobs = [progress._Job("rendering", 200, began=100.0, done=50)]
+    jobs = [progress._TrackedWork("rendering", 200, began=100.0, done=50)]
     assert progress._told(jobs, 130.0) == "rendering: 25 %, about 90 s left"
-    jobs.append(progress._Job("writing", 0, began=120.0))
+    jobs.append(progress._TrackedWork("writing", 0, began=120.0))
     assert progress._told(jobs, 130.0) == "rendering: 25 %, about 90 s left; writing"
     assert progress._told(jobs[1:], 130.0) == "writing after 10 s"
 
@@ -80,7 +80,7 @@ def test_lines_come_every_ten_seconds(monkeypatch, capfd):
     monkeypatch.setattr(progress, "time", types.SimpleNamespace(monotonic=lambda: now))
     monkeypatch.setattr(progress._Timed, "__init__", lambda _: None)  # no thread waits here
     monkeypatch.setattr(progress, "_ended", 0.0)
-    lines, jobs = progress._Lines(), [progress._Job("counting", 4, began=now)]
+    lines, jobs = progress._Lines(), [progress._TrackedWork("counting", 4, began=now)]
     for passed in (0, 4, 9):
         now = 1000 + passed
         assert lines._due() == 10 - passed
