@@ -69,9 +69,6 @@ def contrast(
     Of a list of renders, it draws all images at one exposure, parts of them, their noise on one
     scale, which render is the least noisy where, and the CHDs of two pixels that show it.
 
-    Of a list of renders, it draws all images at one exposure, parts of them, their noise on one
-    scale, which render is the least noisy where, and the CHDs of two pixels that show it.
-
     Parameters
     ----------
     found

@@ -83,5 +83,6 @@ print(sentence)
 # guides only where there are samples enough, and its own paths tell that this pays. The claims
 # of ``chdstat study --integrators`` put numbers on what is seen here, for any scene.
 #
-# **Next:** the how-to pages on `contrasting renders <../../how-to/contrast-renders.html>`_ and on
+# **Next:** `Which of several renders is noisier? <plot_4_several_renders.html>`_, and the how-to
+# pages on `contrasting renders <../../how-to/contrast-renders.html>`_ and on
 # `adaptive counts <../../how-to/adaptive.html>`_.
