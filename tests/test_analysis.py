@@ -103,7 +103,11 @@ def test_a_statistic_that_tables_show_is_in_an_analysis(samples, found, monkeypa
 def test_patterns_alone_are_those_of_the_analysis(samples, found):
     """So is the overview of what both have; of what one lacks, there is none."""
     patterns = patterns_of(samples, progress=False)
+    of_luminance = ("luminance_logarithms_", "luminance_averages_")  # which an analysis has not
+    assert all(any(str(n).startswith(prefix) for n in patterns) for prefix in of_luminance)
     for name, values in patterns.data_vars.items():
+        if str(name).startswith(of_luminance):
+            continue
         np.testing.assert_allclose(values, found[name], rtol=1e-9, err_msg=name)
     some, whole = (overview(dataset).to_dict() for dataset in (patterns, found))
     for name in ("null_share", "variation", "patterns", "label_agreement"):

@@ -332,6 +332,8 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
     'give --axes syxc, --append, --size 64x32'
     >>> as_typed("spp must be at least 1, got 0", options)
     '--spp must be at least 1, got 0'
+    >>> as_typed('by {"max_depth": 1}', {"max_depth": "--max-depth"})
+    'by {"max_depth": 1}'
     """
     if not options:
         return text
@@ -348,7 +350,8 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
     values = r"""('[^']*'|"[^"]*"|\[[^\]]*\]|\([^)]*\)|[-+\w.]*\w)?"""
     text = re.sub(rf"(?<![-\w.])({names})={values}", option, text)
     # A name alone may be a word of the sentence, unless it is none.
-    alone = rf"(?<![-\w./'])((?:{names})(?= must | above )|(?<=smaller )(?:{names})\b|(?:{long})\b)"
+    free = r"""(?<![-\w./'"])"""  # of quotes, as those of a name in JSON
+    alone = rf"{free}((?:{names})(?= must | above )|(?<=smaller )(?:{names})\b|(?:{long})\b)"
     return re.sub(alone, lambda found: options[found[1]], text)
 
 

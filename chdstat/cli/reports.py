@@ -145,6 +145,9 @@ def report(
     if full and claims:
         message = "--full has the claims, too: give it or --claims"
         raise InputError(message)
+    if len(sources) > 1 and (full or claims):
+        message = f"{'--full' if full else '--claims'} is for a report on one render: leave it out"
+        raise InputError(message)
     given: list[Path | Scene] = [asked.source(one) for one in sources]
     if as_published and isinstance(given[0], Scene):
         from chdstat.reporting.scene_report import published_seconds

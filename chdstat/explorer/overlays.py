@@ -188,7 +188,7 @@ def map_of(name: str, *found: Any, note: str = "") -> Map:
     --------
     >>> one, other = np.array([[1.0]]), np.array([[3.0]])
     >>> [f"{map_of(name, one, other).values[0, 0]:.2f}" for name in DIFFERENCES]
-    ['2.00', '2.00', '0.60', '1.00']
+    ['2.00', '2.00', '4.00', '1.00']
     """
     kind = replace(map_kind(name), note=note)
     assert kind.of is not None

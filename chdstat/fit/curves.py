@@ -47,7 +47,7 @@ class Curve:
     >>> samples = chd.Samples.from_array(rng.lognormal(-2.0, 0.5, size=(1, 1, 1, 4096)))
     >>> curve = samples.pixel(0, 0).curve(0)
     >>> curve.name, curve.words
-    ('log-normal', 'log-normal (median 0.14, σ 0.50)')
+    ('log-normal', 'log-normal (median 0.13, σ 0.50)')
     >>> chd.Samples.from_array(np.ones((1, 1, 1, 64))).pixel(0, 0).curve(0).words
     'constant samples'
     """

@@ -113,7 +113,7 @@ _EXPLAINED: dict[Label, tuple[str, str, str]] = {
         "the frame outside of the Cornell box",
     ),
     Label.OTHER: (
-        "one kind of paths, or several that overlap: neither gamma nor log-normal describes them",
+        "one kind of paths, or several that overlap, without a pattern that stands out",
         "more samples, at the usual rate",
         "the floor under many lights: one broad, skewed hump",
     ),

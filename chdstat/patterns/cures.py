@@ -309,7 +309,8 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "lognormal_like": "{samples}: " + _AT_RATE + "; for bounced light {guiding}; more bounces "
         "do not help",
         "other": "{samples}: " + _AT_RATE + "; with many lamps {light_tree}",
-        "constant": "nothing is noisy here; {threshold} stops early at such pixels",
+        "constant": "samples that find light are equal; where none is null, {threshold} stops "
+        "early; null samples are all the noise there is, as in null-heavy pixels",
         "black": "compare it with its neighbours: if they are lit, more samples; black glass needs "
         "more {bounces}",
     },
@@ -328,7 +329,6 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "lognormal_like": "{samples}: " + _AT_RATE + "; {cache} takes bounced light from a cache, "
         "which blurs it; a higher path depth does not help",
         "other": "{samples}: " + _AT_RATE + "; {roulette} if long paths matter",
-        "constant": "nothing is noisy here: one sample that finds light is enough",
         "black": "compare it with its neighbours: if they are lit, more samples; black glass needs "
         "more {depth}",
     },
@@ -348,7 +348,6 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "lognormal_like": "{samples}: " + _AT_RATE + "; {guided} for bounced light, a larger "
         "{roulette} for long paths; a larger max_depth does not help",
         "other": "{samples}: " + _AT_RATE + "; in coloured media {media}",
-        "constant": "nothing is noisy here: one sample that finds light is enough",
         "black": "compare it with its neighbours: if they are lit, render it alone with more "
         "samples; black glass needs more {depth}",
     },

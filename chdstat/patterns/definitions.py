@@ -499,7 +499,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="constant",
         meaning="every path that finds light brings the same: emitters and backgrounds seen",
-        cure="nothing is noisy here: one sample that finds light is enough",
+        cure="samples that find light are equal: where none is null, one is enough; null samples "
+        "are all the noise there is, as in null-heavy pixels",
         typical="the sky in a window: a single spike",
         statistic="standard deviation of the natural logarithm of luminance",
         rule="no larger than the threshold, about what rounding leaves",

@@ -183,7 +183,8 @@ def _of_several(
 ) -> Path:
     """Write the report on several renders."""
     if others := [name for name, value in options.items() if value not in (None, "auto")]:
-        message = f"a report on several renders takes no {', '.join(others)}: leave it out"
+        named = ", ".join(f"{name}=" for name in others)
+        message = f"a report on several renders takes no {named}: leave it out"
         raise InputError(message)
     for one in sources:
         if isinstance(one, Scene) or not (isinstance(one, Samples) or is_store(one)):

@@ -174,7 +174,8 @@ def drawn_histograms(
     decades = float(f"1e{least}"), float(f"1e{most + 1}")
     held = [_held("linear", row[mask], row[mask]) for row, mask in zip(x, used, strict=True)]
     low, high = np.array(held, np.float64).reshape(-1, 2).T
-    linear = _around(low, high, _ROUNDING, x.dtype, all_bad=np.asarray(bad.all(axis=-1)))
+    kind = x.dtype if x.dtype.kind == "f" else np.dtype(np.float64)
+    linear = _around(low, high, _ROUNDING, kind, all_bad=np.asarray(bad.all(axis=-1)))
     linear.low[low >= 0] = np.maximum(linear.low[low >= 0], 0)
     bins = _PER_DECADE * (most + 1 - least)
     return {

@@ -318,7 +318,7 @@ def outside_in_words(found: Sequence[Histogram], low: float, high: float) -> tup
         counts = {int(h.outside(low, high)[side]) for h in found}
         most = max(counts)
         up_to, many = "up to " * (len(counts) > 1), "s" * (most > 1)
-        at = number(end, 2).replace("1.0e", "1e").replace("e-0", "e−").replace("e-", "e−")
+        at = number(end, 2).replace("1.0e", "1e").replace("e−0", "e−")
         words.append(f"{up_to}{most} sample{many} {name} {at}" if most else "")
     return words[0], words[1]
 

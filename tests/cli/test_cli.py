@@ -450,7 +450,7 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
     code, out, _ = run(*asked, "--patterns", "--curve", "-o", target)
     assert code == 0
     lines = [line.strip() for line in out.splitlines()]
-    assert re.match(r"mean +1\.00 +(1\.00|cannot tell) ", lines[lines.index("") + 3])
+    assert re.match(r"sample mean +1\.00 +(1\.00|cannot tell) ", lines[lines.index("") + 3])
     assert "- use neighbours: Zirr et al. 2018." in lines
     written = {path.name for path in target.iterdir()}
     assert written >= {"comparison.json", "comparison.zarr", "measures.pdf", "pixels.pdf"}

@@ -475,5 +475,5 @@ def test_a_render_ends_in_time_and_goes_on(tmp_path, stored):
 
 def test_a_time_is_for_samples_alone():
     for options in ({"adaptive": True}, {"direct": True}, {"by_depth": 3}):
-        with pytest.raises(InputError, match="seconds is for samples alone"):
+        with pytest.raises(InputError, match="seconds= is for samples alone"):
             chd.render("cornell-box", spp=64, seconds=1.0, size=(8, 8), **options)

@@ -81,7 +81,7 @@ def test_a_breakdown_frames_the_best(found):
     ax = pattern_breakdown(found.breakdown)
     value = found.breakdown.measures["relmse_ratio"].value
     seen = texts(ax.figure)
-    assert {"gamma-like, 83 %", "median of means", f"{value[1, 1]:.2f}"} <= seen
+    assert {"gamma-like, 83 %", "median of means", f"{value[1, 1]:.2f} ▲"} <= seen
     assert not any(text.startswith("black") for text in seen)  # its mean is right
     assert np.isnan(value[0]).all()
     frames = [p for p in ax.patches if isinstance(p, Rectangle)]
