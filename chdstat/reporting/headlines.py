@@ -243,7 +243,7 @@ def gain(row: Mapping[str, Any], name: str, n: int) -> _Headline:
     >>> row = {"mse_ratio": 1.02, "mse_ratio_low": 0.951, "mse_ratio_high": 1.15}
     >>> row |= {f"relmse_ratio{end}": value for end, value in zip(("", "_low", "_high"), [1.0] * 3)}
     >>> row |= {"relmse_ratio_low": 0.93, "relmse_ratio_high": 1.08}
-    >>> row |= {f"{m}{end}": math.nan for m in ("bias", "improved") for end in ("", "_low")}
+    >>> row |= dict.fromkeys(["bias", "improved_low", "improved_high"], math.nan)
     >>> finding, because = gain(row, "the default estimate", 32)
     >>> finding
     'The default estimate does not help measurably.'
