@@ -328,7 +328,8 @@ def _checked_brush(value: Any) -> Brush | None:
         return ends
     message = (
         "a range of radiance must be two numbers, the smaller first, of which one may be left out, "
-        f"or {NULLS!r} for the null samples; got {value}"
+        f"or {NULLS!r} for the null samples; got "
+        + ",".join("" if v is None else f"{v:g}" for v in ends)
     )
     raise InputError(message)
 

@@ -7,6 +7,7 @@ Its memory grows with the image, not with the samples. Null and bad samples are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -141,7 +142,9 @@ def _named(brush: tuple[float | None, float | None], channel: str) -> str:
         return f"with {channel} of {number(low or 0)} or more"
     if low is None:
         return f"with {channel} of {number(high)} or less"
-    return f"with {channel} from {number(low)} to {number(high)}"
+    wide = (high - low) / max(abs(low), abs(high), 1e-300)  # a narrow range needs more digits
+    digits = min(max(3, 1 + math.ceil(-math.log10(max(wide, 1e-9)))), 9) if wide else 3
+    return f"with {channel} from {number(low, digits)} to {number(high, digits)}"
 
 
 def grouped(value: int) -> str:

@@ -50,6 +50,8 @@ def columns_of(places: Sequence[Pixel], channel: str) -> list[_Column]:
 
 def headline(place: Pixel) -> list[tuple[str, str, str]]:
     """Return title, value and detail of the five numbers that matter most, of luminance."""
+    if place.bad.all():
+        return _without_good(place)
     moments, tail, modes = place.moments, place.measured(TailIndex()), place.measured(Modes())
     mean, error = (float(values[-1]) for values in (moments.mean, moments.standard_error))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,10 +81,16 @@ def headline(place: Pixel) -> list[tuple[str, str, str]]:
     ]
 
 
+def _without_good(place: Pixel) -> list[tuple[str, str, str]]:
+    titles = "Mean luminance", "Null samples", "Tail index", "Modes", "Spp for 1 % error"
+    return [(title, "—", f"all {place.spp} samples are bad") for title in titles]
+
+
 def why(place: Pixel) -> tuple[str, str]:
     """Return the first pattern of a place, and what causes it."""
     label = Label(int(place.patterns.label))
-    return called(label.name.lower()), label.meaning
+    meaning = "all samples are bad: NaN or infinite" if place.bad.all() else label.meaning
+    return called(label.name.lower()), meaning
 
 
 def statistics_table(columns: Sequence[_Column]) -> Table:
@@ -119,7 +127,10 @@ def patterns_table(columns: Sequence[_Column]) -> Table:
         titles, label = ["what it says", "value"], f"Patterns: {why(places[0])[0]}"
     else:
         titles, label = [title for title, _, _ in columns], "Patterns"
-    note = "of luminance; ● is set, ○ is not, each at the 5 % level of one pixel"
+    note = (
+        "of luminance; ● is set, ○ is not: by the value, even where its interval holds the "
+        "threshold; null-heavy where a test at the 5 % level of one pixel says so, too"
+    )
     if any(place.patterns.flags["firefly_dominated"] for place in places):
         note += "; tails, modes and families without the largest sample where it dominates"
     return {**_table(label, ["pattern", *titles, "threshold"], rows, note), "words": True}
@@ -288,7 +299,7 @@ def _count(value: float) -> str:
 def _moments(place: Pixel, row: int) -> dict[str, str]:
     moments = place.moments
     numbers = {
-        "mean": moments.seen(moments.mean),
+        "mean": moments.mean,
         "standard error": moments.standard_error,
         "standard deviation": np.sqrt(moments.variance),
         "skewness": moments.skewness,

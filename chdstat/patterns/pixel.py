@@ -165,8 +165,9 @@ class Pixel(Shown):
 
     @cached_property
     def moments(self) -> Moments:
-        """Moments of the good samples of each row."""
-        return Moments.of(self.rows, ~self.bad)
+        """Moments of the good samples of each row; the mean is NaN where none is good."""
+        found = Moments.of(self.rows, ~self.bad)
+        return replace(found, mean=found.seen(found.mean))
 
     def histogram(self, scale: Scale = "log") -> Histogram:
         """Return the histogram of each channel, see `chdstat.histogram`."""

@@ -311,13 +311,36 @@ def test_samples_of_a_range_are_found_in_the_image(person, store_path):
     one.page.keyboard.type("0.5")
     one.page.keyboard.press("Tab")
     one.waits_for(f"location.search.includes('b=0.5') && {told}.includes('of 0.500 or more')")
+    ends = "[...document.querySelectorAll('#brushing input')].map((e) => e.value).join()"
+    one.page.keyboard.type("0.2")  # the upper end, and below the lower one, which gives way
+    one.page.keyboard.press("Tab")
+    one.waits_for(f"{told}.includes('of 0.200 or less') && {ends} === ',0.2'")
+    one.page.locator("#brushing input").first.focus()
     one.page.keyboard.press("Escape")  # from within the field, too
     one.waits_for("!location.search.includes('b=')")
     one.page.locator("h1").click()
     one.page.keyboard.press("o")
     one.waits_for(f"location.search.includes('b=null') && {told}.includes('null samples')")
+    one.open("?p=20,10&b=null")  # the map is there: its bar comes before the view
+    assert not one.page.locator("#limits").is_visible()
     one.page.locator("select[data-option=map]").select_option("null_share")
     one.waits_for("!location.search.includes('b=') && location.search.includes('map=')")
+    linear = "document.querySelector('#panel-linear .brush')"
+    plot = one.page.locator("#panel-linear .plot")
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    for edge, key in (
+        (0.8, "Escape"),
+        (1.01, None),
+    ):  # a drag is undone, and one to the edge is open
+        one.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
+        one.page.mouse.down()
+        one.page.mouse.move(box["x"] + edge * box["width"], box["y"] + 40, steps=3)
+        if key:
+            one.page.keyboard.press(key)
+            assert one.page.evaluate(f"{linear}.hidden")
+        one.page.mouse.up()
+    one.waits_for(f"{told}.includes(' or more: ') && /b=[0-9.]+(,|%2C)(&|$)/.test(location.search)")
 
 
 def test_a_click_outside_changes_nothing(person, store_path):

@@ -66,6 +66,8 @@ def test_nulls_have_a_brush_of_their_own(known):
     assert not counted(known, (-1, 0.5)).count.any()  # zeros that are nulls are in no range
     assert counted(known, (2, None)).count.sum() == 11
     assert counted(known, (None, 2)).count.sum() == (SIZE[0] * SIZE[1] - 1) * SPP - 18 - 11
+    near = counted(known, (99.94, 100.02)).told((99.94, 100.02), "luminance")
+    assert near.endswith("from 99.940 to 100.02")
     assert counted(known, (11, 12)).told((11, 12), "R").startswith("No pixel holds samples with R")
 
 
@@ -111,6 +113,7 @@ def test_the_address_holds_the_brush():
         view, notes = parse_view({"b": [wrong]}, 8, 8)
         assert view.brush is None
         assert "a range of radiance must be" in notes[0]
+    assert parse_view({"b": ["2,1"]}, 8, 8)[1][0].endswith("got 2,1")
 
 
 def test_an_image_that_has_no_samples_refuses_a_brush(known):

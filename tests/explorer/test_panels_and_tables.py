@@ -21,7 +21,7 @@ from chdstat.explorer.panels import PanelData, Trace, encode_panels, extent, pan
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import difference
-from chdstat.patterns import Pixel
+from chdstat.patterns import PATTERNS, Pixel
 from chdstat.reporting.figures import FIGURES, ReportData
 from chdstat.samples import Region
 from chdstat.studies.scene_data import SceneData
@@ -102,6 +102,20 @@ def test_nulls_and_bad_samples_are_apart():
     notes = panels(View(), series_of(View(), {"a": [place]}))["log"].notes
     assert notes[0] == "29\u00a0% null · 64 bad"
     assert notes[-2:] == ["R, G: gamma", "B: Weibull"]
+
+
+def test_a_pixel_without_a_good_sample_has_no_numbers():
+    place = pixel(hard()["bad"])
+    assert np.isnan(place.moments.mean).all()
+    assert {tuple(row[1:]) for row in tables.headline(place)} == {("—", "all 64 samples are bad")}
+    assert tables.why(place)[1].startswith("all samples are bad")
+
+
+def test_flags_that_a_value_sets_are_said_to_be():
+    note = tables.patterns_table(tables.columns_of([pixel(gamma())], "all"))["note"]
+    assert "by the value, even where its interval holds the threshold" in note
+    assert {p.name for p in PATTERNS if p.decisive} == {"null_heavy"}
+    assert "null-heavy where a test at the 5 % level" in note
 
 
 def test_all_draw_the_same_curve():

@@ -22,7 +22,7 @@ window.chdstat = (() => {
   const freshen = (query, seq) => { if (!unanswered.some((n) => n > seq)) outdate(query, false); };
   function answered(item) {
     unanswered = unanswered.filter((n) => (item.refused ? n !== item.seq : n > item.seq));
-    if (!unanswered.length) outdate(RESULTS, false);
+    if (!unanswered.length) outdate(`${RESULTS}, #scores`, false);
   }
   function fail(text) {
     document.body.classList.toggle("failed", Boolean(text));
@@ -35,6 +35,7 @@ window.chdstat = (() => {
       unanswered.push(sent);
       outdate(RESULTS, true);
     }
+    if (command === "set" && ["shown", "reference"].includes(options.option)) outdate("#scores", true);
     if (["pick", "move", "box", "activate"].includes(command)) {
       timings.push({ seq: sent, start: performance.now() });
     }
@@ -266,8 +267,17 @@ window.chdstat = (() => {
       const { left, right } = across(name).bbox;
       return Math.min(right, Math.max(left, event.clientX - plot.getBoundingClientRect().left));
     };
-    const ends = (event) => [brushing, at(event)].sort((a, b) => a - b)
-      .map((sx) => Number(across(name).x_scale.invert(sx).toPrecision(3)));
+    // An end at the edge of the axis is open: what lies beyond it belongs to it, too. Others have as
+    // many digits as tell a pixel from the next.
+    const ends = (event) => {
+      const { bbox: { left, right }, x_scale: scale } = across(name);
+      return [brushing, at(event)].sort((a, b) => a - b).map((sx) => {
+        if (sx <= left || sx >= right) return null;
+        const value = scale.invert(sx), step = Math.abs(scale.invert(sx + 1) - value);
+        const digits = Math.ceil(Math.log10(Math.abs(value) / step)) + 1;
+        return Number(value.toPrecision(Math.min(Math.max(digits, 3), 9) || 3));
+      });
+    };
     plot.addEventListener("pointerdown", (event) => {
       if (event.button || !brushable(name) || !across(name)) return;
       brushing = at(event);
@@ -281,13 +291,19 @@ window.chdstat = (() => {
       if (brushing === null) return;
       const found = Math.abs(at(event) - brushing) < 4 ? null : ends(event);
       brushing = null;
-      if (found) brush(found);
-      else bands();
+      if (found?.some((v) => v !== null)) { brush(found); return; }
+      if (found) brush(null);
+      bands();
     });
     plot.addEventListener("pointercancel", () => { brushing = null; bands(); });
   }
   function typed() {
-    const value = all("#brushing input").map((e) => e.value === "" ? null : e.valueAsNumber);
+    const fields = all("#brushing input"), value = fields.map((e) => e.value === "" ? null : e.valueAsNumber);
+    if (value[0] !== null && value[1] !== null && value[0] > value[1]) {  // what was typed last holds
+      const other = fields.indexOf(this) === 0 ? 1 : 0;
+      fields[other].value = "";
+      value[other] = null;
+    }
     if (value.some((v) => v !== null)) brush(value);
     else brush(null);
   }
@@ -303,6 +319,7 @@ window.chdstat = (() => {
   function key(event) {
     const target = event.composedPath()[0];
     if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.key === "Escape" && brushing !== null) { brushing = null; bands(); return; }
     if (event.key === "Escape" && !$("#help").matches(":popover-open")) brush(null);
     if (target.closest?.("input, select, textarea")) return;
     if (event.key in ARROWS && target.closest?.(".right, #help")) return;  // there, they scroll
@@ -365,6 +382,7 @@ window.chdstat = (() => {
       for (const [i, e] of all("#brushing input").entries()) if (e !== document.activeElement) e.value = range[i] ?? "";
       $("#nulls").setAttribute("aria-pressed", String(view.brush === "null"));
       $("#unbrush").hidden = view.brush === null;
+      limitable();
       bands();
       pixelColors = item.colors;
       marks(item.colors);
@@ -675,12 +693,14 @@ window.chdstat = (() => {
     $("#goodness .controls button").disabled = false;
   }
 
+  // Labels and brushes have no ends that could be typed.
+  const limitable = () => { $("#limits").hidden = Boolean(label?.names || view?.brush); };
   function colorbar(bar) {
     label = bar && { title: bar.title, names: bar.names, log: bar.log };
     const parent = $("#colorbar");
     parent.hidden = $("#ranging").hidden = !bar;
     if (!bar) return;
-    $("#limits").hidden = Boolean(bar.names || view?.brush);
+    limitable();
     for (const option of ["cmap", "signed"]) $(`[data-option=${option}]`).parentElement.hidden = bar.signed !== (option === "signed");
     if (bar.limits) all("#limits input").forEach((e, i) => { if (e !== document.activeElement) e.value = bar.limits[i]; });
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
