@@ -1,7 +1,7 @@
 """Contrasts: whether two renders of a view have the same mean, and which is more efficient.
 
 Use it to contrast two integrators, a renderer before and after a change, or a render with a
-converged image. It compares pixels, and regions, which show differences that no single pixel shows.
+converged image. It tests pixels, and regions, which show differences that no single pixel shows.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Contrast(Shown):
         1 / (relative variance x time) of B over that of A, with its 95 % interval. NaN if a time is
         unknown, or A or B has no variance.
     spp
-        Samples per pixel of A and B that were compared; None if that of an image is unknown.
+        Samples per pixel of A and B that were contrasted; None if that of an image is unknown.
     spp_range
         The same in words, such as "16 to 64" if pixels differ.
     reference
@@ -275,7 +275,7 @@ class Contrast(Shown):
                 image = name == "B" and self.reference
                 why = f"{'B is' if image else f'all samples of {name} are'} NaN or infinite"
                 found.append(f"{_counted(len(places), 'pixel')} where {why} ({first})")
-        return [f"Not compared: {'; '.join(found)}."] if found else []
+        return [f"Not contrasted: {'; '.join(found)}."] if found else []
 
     def _lost(self, name: str) -> Array:
         """Return where a render has no good sample, shape (y, x)."""
@@ -556,19 +556,19 @@ def contrast(
     been found, the outcome is "cannot tell", and `Contrast.spp_needed` says how many samples would
     do.
 
-    **References.** An image without samples is compared with each sample of A. What rounding of the
-    file and of a conversion of colours explains is no difference, nor is what its noise explains,
-    if that is known. Unless there is an image of variances, it does not say how rare its light is.
-    Pixels of A without any sample of that light are evidence only as far as their neighbours show
-    how bright its samples can be (`chdstat.inference.render_pairs`). If A is darker, the conclusion
-    says what it may have missed.
+    **References.** An image without samples is contrasted with each sample of A. What rounding of
+    the file and of a conversion of colours explains is no difference, nor is what its noise
+    explains, if that is known. Unless there is an image of variances, it does not say how rare
+    its light is. Pixels of A without any sample of that light are evidence only as far as their
+    neighbours show how bright its samples can be (`chdstat.inference.render_pairs`). If A is
+    darker, the conclusion says what it may have missed.
 
     **Regions.** Small differences show in sums over windows of all sizes up to the whole image. The
     largest such sum is compared with the largest sums that flips of signs give. This test has four
     fifths of `alpha`, and the smallest q-value of a pixel has one fifth; either decides "differ".
 
-    **References with batches** are compared by units of their size, too: any division of them into
-    A's and B's is as likely as the real one.
+    **References with batches** are contrasted by units of their size, too: any division of them
+    into A's and B's is as likely as the real one.
 
     **Renders drawn as needed.** A function `draw` is asked for samples until they tell the renders
     apart, or `spp` are drawn. It is looked at after a quarter, a half and all of them, with levels
@@ -599,7 +599,7 @@ def contrast(
         Stop drawing as soon as no difference is found and a loss of this share of the image would
         have been found.
     seconds
-        Compare as many samples of each render as it makes in this time. By default, compare all
+        Contrast as many samples of each render as it makes in this time. By default, contrast all
         samples; if the renders share random numbers, the same number of both.
     distributions
         Also test in each pixel whether the variances and the whole distributions of luminance
@@ -891,7 +891,8 @@ def _why_not(
         return "", None
     lost = int(((maps["bad_a"] == 1) != (maps["bad_b"] == 1)).sum())
     if lost:
-        return f"{_counted(lost, 'pixel')} can be compared on one side only", None
+        has = "has" if lost == 1 else "have"
+        return f"{_counted(lost, 'pixel')} {has} good samples on one side only", None
     if unseen is not None:
         share, needed = unseen
         if pair.of_image and not all(pair.units):

@@ -1,10 +1,10 @@
-"""Pairs of renders: the terms by which they are compared, and the sums over their samples.
+"""Pairs of renders: the terms by which they are contrasted, and the sums over their samples.
 
 Term k of a pixel is the mean of the samples k, k + K, k + 2 K ... of B, minus that of A. Sample i
 of both renders thus lies in the same term. That pairs renders that share random numbers, for any
 numbers of samples.
 
-Renders with unequal numbers of samples are also compared by units. A unit is an average of the same
+Renders with unequal numbers of samples are also contrasted by units. A unit is an average of the same
 number of samples in both renders. If both renders have one distribution, any of the units may be
 A's.
 

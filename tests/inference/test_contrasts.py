@@ -228,7 +228,7 @@ def test_bad_samples_do_not_matter_at_unequal_spp():
     assert contrast(a, b).outcome == "no difference found"
     b[0, 0] = np.nan
     found = contrast(a, b)
-    assert found.why == "1 pixel can be compared on one side only"
+    assert found.why == "1 pixel has good samples on one side only"
     assert np.isnan(found.p_value[0, 0]).all()
     assert np.isfinite(found.p_value.to_numpy().ravel()[1:]).all()
 
@@ -540,12 +540,12 @@ def test_pixels_without_good_samples_are_named():
     b[0, 0], b[5, 5] = np.nan, np.inf
     found = contrast(a, b)
     for words in (
-        "Not compared: 1 pixel where all samples of A are NaN or infinite (at y 3, x 4); ",
+        "Not contrasted: 1 pixel where all samples of A are NaN or infinite (at y 3, x 4); ",
         "2 pixels where all samples of B are NaN or infinite (first at y 0, x 0).",
     ):
         assert words in found.conclusion
     assert found.outcome == "cannot tell"
-    assert found.why == "3 pixels can be compared on one side only"
+    assert found.why == "3 pixels have good samples on one side only"
     assert found.to_dict()["pixels_left_out"] == {"a": 1, "b": 2}
     assert found.table()["bad samples"] == "0.4\xa0% of A, 0.8\xa0% of B"
     image = small(2).mean(axis=-1)
