@@ -4,9 +4,9 @@ Term k of a pixel is the mean of the samples k, k + K, k + 2 K ... of B, minus t
 of both renders thus lies in the same term. That pairs renders that share random numbers, for any
 numbers of samples.
 
-Renders with unequal numbers of samples are also contrasted by units. A unit is an average of the same
-number of samples in both renders. If both renders have one distribution, any of the units may be
-A's.
+Renders with unequal numbers of samples are also contrasted by units. A unit is an average of the
+same number of samples in both renders. If both renders have one distribution, any of the units may
+be A's.
 
 A `Reference` without batches does not show how rare its light is: a pixel whose samples are all
 null may have missed light that comes in one of 1000 samples. `_unseen_variance` bounds how much the

@@ -20,8 +20,9 @@ viz.error_curves(curve)
 
 # %%
 # Bands are 95 % intervals over blocks of pixels, and dashed lines are estimators that look at the
-# pixels around. A trimmed mean of 8 samples trims nothing. The curves of robust estimators flatten,
-# because a bias does not fall as quickly as the noise. MSE over that of the mean:
+# pixels around. A trimmed mean of 8 samples trims nothing. The noise of a mean falls with more
+# samples. A bias that does not fall as fast ends up as the larger error, so that what pays at few
+# samples may harm at many. MSE over that of the mean:
 
 ratio = curve.measures["mse_ratio"]
 print("".ljust(16), *(f"N = {n}".ljust(22) for n in curve.sizes))
@@ -33,15 +34,35 @@ for k in range(len(called)):
 # %%
 # What the intervals allow to say:
 
-last = curve.sizes[-1]
-pays = [i for i, high in enumerate(ratio.high[-1]) if high < 1]
-open_ = [i for i in range(1, len(names)) if ratio.low[-1][i] <= 1 <= ratio.high[-1][i]]
-listed = ", ".join(called[i] for i in pays) or "no estimator"
-unclear = ", ".join(called[i] for i in open_)
+
+def sizes_where(is_so):
+    """Return the numbers of samples where something holds, in words."""
+    *first, last = [str(n) for n, so in zip(curve.sizes, is_so, strict=True) if so] or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+parts = []
+for i in range(1, len(called)):
+    low, high = ratio.low[:, i], ratio.high[:, i]
+    pays, harms = sizes_where(high < 1), sizes_where(low > 1)
+    verdicts = [f"surely pays with {pays} samples"] * bool(pays) + [
+        f"surely harms with {harms}"
+    ] * bool(harms)
+    parts.append(f"{called[i]} " + (" and ".join(verdicts) or "cannot be told from the mean"))
+rises = [
+    called[i]
+    for i in range(1, len(called))
+    if any(ratio.low[k, i] > ratio.high[:k, i].min() for k in range(1, len(curve.sizes)))
+]
 sentence = (
-    f"Of estimates from {last} samples of this hall, those of {listed} surely have a smaller "
-    f"squared error than the mean"
-    + (f"; for {unclear} the interval does not tell." if unclear else ".")
+    f"In this hall, {'; '.join(parts)}. "
+    + (
+        f"The ratio of {' and of '.join(rises)} surely rises "
+        if rises
+        else "No ratio surely rises "
+    )
+    + f"with up to {curve.sizes[-1]}"
+    + ("." if rises else ": where an estimator ceases to pay, these sizes do not tell.")
 )
 print(sentence)
 

@@ -57,5 +57,4 @@ print(sentence)
 # Against a mean of a hundred samples, even perfect intervals would seem to miss far more than they
 # do, because that mean has an error of its own.
 #
-# **Next:** `Denoise from a better start <plot_7_denoise.html>`_ passes an estimate on to a
-# denoiser.
+# **Next:** `Denoise from the mean, or from a robust estimate? <plot_7_denoise.html>`_

@@ -1,6 +1,6 @@
 """
-Denoise from a better start
-===========================
+Denoise from the mean, or from a robust estimate?
+=================================================
 
 An image denoiser usually starts from the mean of the samples. Does it do better from a robust
 estimate of the same samples?
@@ -30,8 +30,9 @@ images = {
 viz.side_by_side(images, columns=3)
 
 # %%
-# What is an outlier to the estimator is no bright spot any more that the denoiser could spread over
-# its surroundings. In numbers, from batches of 32:
+# A robust estimate takes light from outliers, which the denoiser could otherwise spread over their
+# surroundings. It may also take light that is true. Errors say what is left of either, in batches
+# of 32:
 
 names = ["mean", "mean + OIDN features", "shared_shape", "shared_shape + OIDN features"]
 found = chd.compare(samples, names, max_batches=2, progress=False)

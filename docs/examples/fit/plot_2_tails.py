@@ -12,6 +12,7 @@ In which pixels do rare bright samples carry so much light that error bars fail?
 # sphinx_gallery_panel = 2, 2
 import chdstat as chd
 from chdstat import viz
+from chdstat.errors import Reason
 
 samples = chd.render("caustic", spp=192, size=(64, 64), seed=1, backend="scalar")
 tail = chd.fit.tail_index(samples)
@@ -38,9 +39,9 @@ suspect = tail["tail_variance_suspect"].sel(channel="G")
 unidentified = tail["tail_variance_unidentified"].sel(channel="G")
 sentence = (
     f"In {float(suspect.mean()):.0%} of the pixels of this scene, the error bar of "
-    f"{samples.spp} samples fails: a caustic that a path seldom finds carries more light than "
-    f"the samples show. In another {float(unidentified.mean()):.0%} it holds in 80 to 90 of 100 "
-    f"renders instead of 95."
+    f"{samples.spp} samples fails, as far as these show: it is estimated to hold in fewer than 80 "
+    f"of 100 renders instead of 95. In another {float(unidentified.mean()):.0%}, the samples do "
+    f"not tell."
 )
 print(sentence)
 figure = viz.map_grid(2, columns=2)
@@ -51,17 +52,34 @@ viz.value_map(around, title="with the pixels around", limits=(0.4, 1.0), ax=righ
 figure
 
 # %%
-# One pixel with its interval
+# One pixel with more samples
 # ---------------------------
 #
-# From few samples the index of a pixel is uncertain. More samples narrow its interval. This pixel
-# is on a white square of the board.
+# The index describes the tail that the samples reach. More of them may reach light that few paths
+# find, and with it another tail. Its interval need not be narrower. This pixel is on a white square
+# of the board.
 
-for spp in (256, 4096, 32768):
-    some = chd.rendering.render_pixels("caustic", [(52, 30)], spp=spp, size=(64, 64), seed=2)[:, 1]
-    fit = chd.fit.tail_index(some)
-    low, high = fit.interval[0]
-    print(f"{spp:6} samples: ξ {fit.xi[0]:5.2f}, 95 % interval {low:5.2f} to {high:.2f}")
+settings = {"spp": 65536, "size": (64, 64), "seed": 2, "backend": "scalar"}
+green = chd.rendering.render_pixels("caustic", [(52, 30)], **settings)[:, 1]
+fits, largest = {}, {}
+for spp in (256, 4096, 16384, 65536):
+    some = green[:, :spp]
+    fit = fits[spp] = chd.fit.tail_index(some)
+    largest[spp] = some.max()
+    (low, high), why = fit.interval[0], Reason(fit.reason[0]).name.lower()
+    told = f"ξ {fit.xi[0]:.2f} ({low:.2f} to {high:.2f})" if fit.reason[0] == 0 else f"no ξ: {why}"
+    print(f"{spp:6} samples, largest {largest[spp]:6.1f}: {told}")
+
+# %%
+# `edge` says that the largest samples are the edge of a mode, which no tail index describes.
+
+known = [spp for spp, fit in fits.items() if fit.reason[0] == 0]
+few, many = known[0], known[-1]
+widths = [float(fits[spp].interval[0] @ [-1, 1]) for spp in (few, many)]
+print(
+    f"The interval is {widths[0]:.2f} wide with {few} samples and {widths[1]:.2f} with {many}; "
+    f"their largest sample is {largest[many] / largest[few]:.0f} times as bright."
+)
 
 # %%
 # **Next:** `Are the samples Gaussian on some scale? <../test/plot_1_gaussianity.html>`_ turns from

@@ -39,13 +39,20 @@ seen = [batches[y, x, 0, batch] for y, x in pair.values()]
 for name, mean, error, of_pixel in zip(pair, means, errors, red, strict=True):
     print(f"{name:10} mean {mean:.3f} ± {error:.3f}, largest sample {of_pixel.max():.0f}")
 
-apart = abs(means[0] - means[1]) / np.hypot(*errors)
+ratio = means[0] / means[1]
+factor = np.exp(1.96 * np.hypot(*(errors / means)))  # from the errors of both logarithms
+low, high = ratio / factor, ratio * factor
+seen_ratio = seen[0] / seen[1]
 sentence = (
-    f"In one render of 32 samples this pixel is {seen[0] / seen[1]:.0f} times as bright as the one "
-    f"above it; over 8192 samples the means are {means[0]:.2f} ± {errors[0]:.2f} and "
-    f"{means[1]:.2f} ± {errors[1]:.2f}, "
-    + ("and do not differ" if apart < 2 else "and differ")
-    + (": the firefly was chance." if apart < 2 else ": the pixel is not like its neighbour.")
+    f"In one render of 32 samples this pixel is {seen_ratio:.0f} times as bright as the one "
+    f"above it; over 8192 samples of each it is {ratio:.2f} times as bright (95 % interval "
+    f"{low:.2f} to {high:.2f})"
+    + (
+        ": the firefly was chance"
+        if not low <= seen_ratio <= high
+        else ", which does not tell whether the firefly was chance"
+    )
+    + ("; a difference within that interval is not ruled out." if low < 1 < high else ".")
 )
 print(sentence)
 
