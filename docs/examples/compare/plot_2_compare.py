@@ -34,9 +34,9 @@ error, bias = (found.measures[name][:, -1] for name in ("mse_ratio", "bias"))
 better = [i for i, high in enumerate(error.high) if i and high < 1]
 dark = [i for i, high in enumerate(bias.high) if i and high < 0]
 best = min(better or [0], key=lambda i: error.value[i])
-rivals = [i for i in better if i != best and error.low[i] <= error.high[best]]
-overlap = ", ".join(f"{called[i]} ({error.value[i]:.2g})" for i in rivals)
 called = [chd.estimators.lookup(n).label or n.replace("_", " ") for n in found.estimators]
+rivals = [i for i in better if i != best and error.low[i] <= error.high[best]]
+overlap = " and of ".join(f"{called[i]} ({error.value[i]:.2g})" for i in rivals)
 sentence = (
     f"Of {len(names) - 1} estimators, {len(better)} surely have a smaller squared error than the "
     f"mean and {len(dark)} surely lose light"
