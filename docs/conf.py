@@ -78,6 +78,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "nested_sections": False,
     "image_scrapers": ("figures.last_figure",),
+    "reset_modules": ("matplotlib", "figures.without_progress"),
     "capture_repr": ("_repr_html_", "__repr__"),
     "ignore_repr_types": r"matplotlib\.figure|StyledFigure",
     "abort_on_example_error": True,

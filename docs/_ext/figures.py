@@ -19,9 +19,10 @@ from sphinx.errors import ExtensionError
 from sphinx_gallery.py_source_parser import extract_file_config
 from sphinx_gallery.scrapers import figure_rst
 
+from chdstat._core import progress
 from chdstat.viz import style
 
-__all__ = ["last_figure"]
+__all__ = ["last_figure", "without_progress"]
 
 _PANEL = 1.5, 1.15
 """Width and height of the axes in a thumbnail, in inches: so small that text stays readable."""
@@ -123,6 +124,11 @@ def _hide_all_but(ax: Axes, figure: FigureBase) -> None:
             _hide_all_but(ax, child)
         elif child is not figure.patch:
             child.set_visible(child is ax)
+
+
+def without_progress(gallery_conf: dict[str, Any], script: str) -> None:
+    """Let examples write no lines of progress, which would say how busy the machine was."""
+    progress._LINE_EVERY = 1e6
 
 
 def setup(app: Any) -> dict[str, bool]:

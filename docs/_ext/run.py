@@ -144,6 +144,8 @@ def _command(line: str, expected: int) -> str:
 
 
 def _shown(output: str) -> list[nodes.Node]:
+    output = output.replace(f"{os.path.realpath(_folder().name)}{os.sep}", "")  # a name per build
+    output = output.replace(f"{_folder().name}{os.sep}", "")
     return [_literal(output.rstrip(), "text", "output")] if output.strip() else []
 
 

@@ -21,7 +21,7 @@ SIZE = (64, 64)
 guided = None if resolve().name == "scalar" else "guided"
 integrators = {"path tracing": None, "path guiding": guided}
 regions = [r for r in find_recipe("night-room").regions if r.name in ("lamplit-wall", "carpet")]
-names = [region.name.replace("-", " ") for region in regions]
+names = [region.name.rpartition("-")[2] for region in regions]
 pixels = [r.center(*SIZE) for r in regions]
 drawn = {
     name: chd.rendering.render_pixels(
