@@ -89,7 +89,7 @@ for name, words in told.items():
 # %%
 # No feature explains chance, which is part of any noise that is measured from 32 samples. If r is
 # the rank correlation of the noise in the two halves of the samples, 2 r / (1 + r) of the order of
-# all of them can be explained (Spearman 1910, Brown 1910).
+# all of them can be explained (Spearman and Brown's formula).
 
 
 def ranked(half):
