@@ -419,14 +419,36 @@ class Contrasts(Tabled):
             found = f"{counts[2]} of {_counted(sum(counts), 'render')} differ ({alarm})"
             return f"{found}; {counts[1]} cannot be told." if counts[1] else f"{found}."
         last = self.noise.names[-1]
-        same, unknown, differ = (_listed(names) for names in by_outcome.values())
+        same, unknown, _ = (_listed(names) for names in by_outcome.values())
         parts = [f"no difference from {last} found in {same}"] if same else []
         parts += [f"for {unknown} that cannot be told"] if unknown else []
-        parts += [f"{differ} differ{'s' * (len(by_outcome['differ']) == 1)} from {last}"] * bool(
-            differ
-        )
-        less = " A render that lacks light also has less noise." if differ else ""
+        if differ := by_outcome["differ"]:
+            each = [f"{name} ({self._how_bright(name)})" for name in differ]
+            parts.append(f"{_listed(each)} differ{'s' * (len(each) == 1)} from {last}")
+        darker = _listed(self._darker_and_less_noisy())
+        less = f" A render that lacks light also has less noise: perhaps {darker}." * bool(darker)
         return f"Means: {'; '.join(reversed(parts))} ({alarm}).{less}"
+
+    def _how_bright(self, name: str) -> str:
+        """Return how bright a render is as a whole, beside the last one."""
+        loss = self[name].loss
+        more = 1 / (1 - loss.value) - 1 if loss.value < 1 else np.nan
+        if np.isfinite(more) and not loss.low <= 0 <= loss.high:
+            return f"{percent(abs(more))} {'brighter' if more > 0 else 'darker'} as a whole"
+        a, b = (float(self[name].maps[f"mean_{side}"].mean()) for side in "ab")
+        return "black" if not a else "brighter" if not b else "about as bright as a whole"
+
+    def _darker_and_less_noisy(self) -> list[str]:
+        """Return the renders that differ from another, are darker as a whole, and noise less."""
+        assert self.noise is not None, "renders are ranked"
+        noise, last = self.noise.order.noise, self.noise.names[-1]
+        found: dict[str, None] = {}
+        for name, of in self.contrasts.items():
+            if of.outcome == "differ" and {name, last} <= noise.keys():
+                darker, other = (name, last) if of.loss.value < 0 else (last, name)
+                if not of.loss.low <= 0 <= of.loss.high and noise[darker] < noise[other]:
+                    found[darker] = None
+        return [*found]
 
     def table(self) -> list[dict[str, Any]]:
         """Return a row for each render; if renders are ranked, the least noisy one first."""
@@ -435,7 +457,10 @@ class Contrasts(Tabled):
             return means
         by_name = {row["render"]: row for row in means}
         missing = dict.fromkeys(means[0])
-        return [missing | by_name.get(row["render"], {}) | row for row in self.noise.table()]
+        ranked = [*self.noise.table(), *({"render": name} for name in self.noise.unlit)]
+        rows = [missing | by_name.get(row["render"], {}) | row for row in ranked]
+        # The longest text comes last.
+        return [row | {"conclusion": row.pop("conclusion")} for row in rows]
 
     def mean_rows(self) -> list[dict[str, Any]]:
         """Return what was found of the mean of each render, but of the last one."""

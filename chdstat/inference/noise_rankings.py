@@ -34,7 +34,7 @@ from chdstat._core.arrays import (
     label_variables,
     plain,
 )
-from chdstat._core.display import Tabled, capital, number, percent
+from chdstat._core.display import Tabled, capital, percent
 from chdstat._core.doors import classified
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
@@ -56,6 +56,8 @@ _CELLS, _LEAST_CELL = 32, 4
 TIMING = 1.7
 """Factor by which a ratio of times may be wrong: a single time has no interval. Three renders of
 each of five scenes, on a busy machine, differed by up to 1.6."""
+_PICK = 8
+"""Least samples that tell patterns, and as many others that tell what they hold."""
 _PATTERNS = 3
 """Most patterns by which the noise of a render is explained."""
 _APART = 4
@@ -155,10 +157,21 @@ class NoiseOrder:
 
     @property
     def conclusion(self) -> str:
-        """The order in words, each render with the next one."""
+        """The order in words: each render with the next one, and other pairs that are sure.
+
+        It leaves out pairs around one that is sure.
+        """
         cost = "variance × time" if self.at == "equal time" else "variance"
-        parts = []
-        for one, other in itertools.pairwise(self.names):
+        parts, told = [], [*itertools.pairwise(range(len(self.names)))]
+        pairs = itertools.combinations(range(len(self.names)), 2)
+        sure = [(i, j) for i, j in pairs if self.surely(self.names[i], self.names[j])]
+        inner = [
+            (i, j)
+            for i, j in sure
+            if not any((i, j) != (k, m) and i <= k and m <= j for k, m in sure)
+        ]
+        for i, j in [*told, *(pair for pair in inner if pair not in told)]:
+            one, other = self.names[i], self.names[j]
             ratio = self.ratios[one, other].shown(beside=[1])
             if self.surely(one, other):
                 parts.append(f"{one} has {ratio} of the {cost} of {other}")
@@ -186,8 +199,11 @@ class NoiseCause:
         Variance over that of the least noisy render in these pixels.
     null_share, least_null_share
         Share of null samples there, in both renders.
-    tail_index
-        Median tail index of luminance there; NaN if it is unknown.
+
+    Notes
+    -----
+    Every other sample of the render tells the patterns, and the others tell the numbers: of pixels
+    that are picked by their own fireflies, all numbers would be too large.
     """
 
     name: str
@@ -198,18 +214,20 @@ class NoiseCause:
     ratio: Interval[float]
     null_share: Interval[float]
     least_null_share: float
-    tail_index: float
 
     @property
     def details(self) -> str:
         """The numbers of the pixels in words."""
         share = self.share.shown(percent)
-        null = self.null_share.shown(percent)
-        tail = f", tail index {number(self.tail_index)}" if np.isfinite(self.tail_index) else ""
+        null = ""
+        if self.null_share.value or self.least_null_share:
+            null = (
+                f", {self.null_share.shown(percent)} of the samples null "
+                f"({percent(self.least_null_share)} in {self.least})"
+            )
         return (
             f"{share} is in {_worded(self.pattern)} pixels, {percent(self.pixels)} of the image: "
-            f"variance {self.ratio} times as large, {null} of the samples null "
-            f"({percent(self.least_null_share)} in {self.least}){tail}"
+            f"variance {self.ratio} times as large{null}"
         )
 
 
@@ -241,7 +259,7 @@ class NoiseRanking(Tabled):
     ----------
     orders
         The renders in the order of their noise, by "equal spp" and, if all times are known, by
-        "equal time".
+        "equal time". A black render beside others has no place in them.
     maps
         ``mean`` of each render, (render, y, x, channel), and ``relative_variance`` of a sample,
         (render, y, x), on one scale. ``least_noisy``, (at, y, x): the render that is the least
@@ -284,6 +302,13 @@ class NoiseRanking(Tabled):
         return tuple(self.spp)
 
     @property
+    def unlit(self) -> tuple[str, ...]:
+        """Names of renders without light, beside others with some; noise does not rank them."""
+        with np.errstate(invalid="ignore"):
+            lit = (self.maps["mean"] > 0).any(("y", "x", "channel")).to_numpy()
+        return tuple(n for n, seen in zip(self.names, lit, strict=True) if not seen and lit.any())
+
+    @property
     def order(self) -> NoiseOrder:
         """The order at equal spp."""
         return self.orders["equal spp"]
@@ -294,7 +319,8 @@ class NoiseRanking(Tabled):
         The noise is that of all renders together.
         """
         least = self.maps["least_noisy"].sel(at=at).to_numpy()
-        noise = self.maps["relative_variance"].to_numpy()
+        ranked = [name not in self.unlit for name in self.names]
+        noise = self.maps["relative_variance"].to_numpy()[ranked]
         noise = np.where(np.isfinite(noise).all(axis=0), noise, 0).sum(axis=0)
         total = noise.sum() or np.nan
         return {
@@ -315,6 +341,8 @@ class NoiseRanking(Tabled):
     def facts(self, *, brief: bool = False) -> dict[str, str]:
         """Return what there is to know beside the order, by what it is about."""
         found = {}
+        if self.unlit:
+            found["not ranked"] = f"{', '.join(self.unlit)}, without any light in its samples"
         if "equal time" not in self.orders:
             found["equal time"] = "no ranking, since rendering times are unknown"
         pairs = sorted({pair for order in self.orders.values() for pair in order.doubtful})
@@ -457,16 +485,18 @@ def noise_ranking(
     progress
         Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     """
-    names = [render.name for render in renders]
-    light = np.stack([render.light for render in renders])
-    weights = np.array([render.samples.spp for render in renders], float)
+    seen = [render for render in renders if np.nanmax(render.light, initial=0) > 0]
+    lit = seen if len(seen) > 1 else [*renders]
+    names = [render.name for render in lit]
+    light = np.stack([render.light for render in lit])
+    weights = np.array([render.samples.spp for render in lit], float)
     known = np.isfinite(light).all(axis=0)
     mean = np.where(known, np.tensordot(weights / weights.sum(), np.nan_to_num(light), 1), np.nan)
     scale = relative_scale(mean)
-    noise = np.stack([render.noise(scale) for render in renders])
+    noise = np.stack([render.noise(scale) for render in lit])
     shown = {
         name: classified(render.samples, progress=progress)
-        for name, render in zip(names, renders, strict=True)
+        for name, render in zip(names, lit, strict=True)
         if patterns and _has_patterns(render.samples)
     }
     suspect = {name: _doubtful(found) for name, found in shown.items()}
@@ -474,9 +504,14 @@ def noise_ranking(
     timed = all(np.isfinite(each) for each in seconds.values())
     ats: list[At] = ["equal spp", "equal time"] if timed else ["equal spp"]
     edge = _cell_edge(*scale.shape)
-    terms = _cell_terms(renders, scale, ats, edge)
-    orders = _orders(ats, renders, noise, suspect, terms, alpha)
-    least, q = _least_noisy(renders, noise, terms, ats, alpha, edge)
+    terms = _cell_terms(lit, scale, ats, edge)
+    if len(seen) == 1:  # that others are black tells nothing of its noise
+        terms = {pair: 0 * d for pair, d in terms.items()}
+    orders = _orders(ats, lit, noise, suspect, terms, alpha)
+    least, q = _least_noisy(lit, noise, terms, ats, alpha, edge)
+    if edge >= max(scale.shape):  # one cell says what the order does, and not more
+        for a, order in enumerate(orders.values()):
+            least[a][order.rank(order.names[0]) != (1, 1)] = -1
     with np.errstate(all="ignore"):
         doubtful = {
             name: float(
@@ -486,12 +521,12 @@ def noise_ranking(
         }
     return NoiseRanking(
         orders=orders,
-        maps=_dataset(renders, noise, least, q, ats),
+        maps=_dataset(renders, scale, _numbered(least, lit, renders), q, ats),
         spp={render.name: render.samples.spp_range for render in renders},
         seconds=seconds,
-        causes=tuple(_explanations(names, noise, orders["equal spp"], shown)),
+        causes=tuple(_explanations(lit, noise, scale, orders["equal spp"], shown, progress)),
         doubtful=doubtful,
-        examples=_examples(renders, noise, least[0], orders["equal spp"]),
+        examples=_examples(lit, noise, least[0], orders["equal spp"]),
         settings=_settings(renders),
         level=1 - alpha,
         alpha=alpha,
@@ -619,6 +654,12 @@ def _least_noisy(
     return np.array(winners, np.int8), np.array(qs)
 
 
+def _numbered(least: Array, some: Sequence[RankedRender], renders: Sequence[RankedRender]) -> Array:
+    """Return numbers of some renders, -1 for none, as those of the same ones among all."""
+    names = [render.name for render in renders]
+    return np.array([*(names.index(render.name) for render in some), -1], np.int8)[least]
+
+
 def _spread(cells: Array, edge: int) -> Array:
     """Return the value of its cell for each pixel."""
     return np.asarray(np.repeat(np.repeat(cells, edge, axis=0), edge, axis=1))
@@ -722,47 +763,69 @@ def _light_and_good(x: Image) -> tuple[Image, Mask]:
 
 @np.errstate(all="ignore")
 def _explanations(
-    names: Sequence[str], noise: Floats, order: NoiseOrder, shown: Mapping[str, Any]
+    renders: Sequence[RankedRender],
+    noise: Floats,
+    scale: Floats,
+    order: NoiseOrder,
+    shown: Mapping[str, Any],
+    progress: bool,
 ) -> Iterator[NoiseCause]:
     """Yield what the noise of each render comes from that is surely noisier than the first.
 
-    A pattern is named if it surely holds some of the additional noise.
+    A pattern is named if it surely holds some of the additional noise. Samples that pick the pixels
+    do not measure them.
     """
-    least = order.names[0]
-    known = np.isfinite(noise).all(axis=0).ravel()
-    if not known.any() or least not in shown:
+    least, names = order.names[0], [render.name for render in renders]
+    if least not in shown:
         return
-    blocks = Blocks.strata(*noise.shape[1:])[known]
-    first = noise[names.index(least)].ravel()[known]
-    null = {
-        name: found["null_heavy_statistic"].to_numpy().ravel()[known]
-        for name, found in shown.items()
-    }
+    of_first = noise[names.index(least)]
+    null_of_first = shown[least]["null_heavy_statistic"].to_numpy()
     for name in order.names[1:]:
-        if not (order.surely(least, name) and name in shown):
+        render = renders[names.index(name)]
+        if not (order.surely(least, name) and name in shown and render.samples.spp >= 2 * _PICK):
             continue
-        own, found = noise[names.index(name)].ravel()[known], shown[name]
-        labels = found["label"].to_numpy().ravel()[known]
+        picked = classified(render.samples.isel(sample=slice(0, None, 2)), progress=progress)
+        own, null = _measured(render, scale)
+        known = (np.isfinite(own) & np.isfinite(of_first)).ravel()
+        if not known.any():
+            continue
+        blocks = Blocks.strata(*own.shape)[known]
+        own, null, first, first_null, labels = (
+            of.ravel()[known]
+            for of in (own, null, of_first, null_of_first, picked["label"].to_numpy())
+        )
         more = own - first
         held = {code: more[labels == code].sum() for code in np.unique(labels)}
-        tails = found["luminance_tail_index"].to_numpy().ravel()[known]
         for code in sorted(held, key=lambda label: -held[label])[:_PATTERNS]:
             here = labels == code
             share = cost_ratio(np.where(here, more, 0), more, blocks, least=-np.inf)
             if not share.low > 0:
                 continue
-            tail = tails[here & np.isfinite(tails)]
             yield NoiseCause(
                 name=name,
                 least=least,
-                pattern=flag_names(found["label"].attrs)[int(code)],
+                pattern=flag_names(picked["label"].attrs)[int(code)],
                 pixels=float(here.mean()),
                 share=share,
                 ratio=cost_ratio(own[here], first[here], blocks[here]),
-                null_share=mean_of(null[name][here], blocks[here]),
-                least_null_share=float(null[least][here].mean()),
-                tail_index=float(np.median(tail)) if tail.size else np.nan,
+                null_share=mean_of(null[here], blocks[here]),
+                least_null_share=float(first_null[here].mean()),
             )
+
+
+@np.errstate(all="ignore")
+def _measured(render: RankedRender, scale: Floats) -> tuple[Floats, Floats]:
+    """Return noise and the share of null samples by every other sample, each (y, x)."""
+    samples = render.samples.isel(sample=slice(1, None, 2))
+    variance, null = np.full(scale.shape, np.nan), np.full(scale.shape, np.nan)
+    for ys, xs in tiles(samples.shape):
+        light, good = _light_and_good(samples.read(ys, xs))
+        x, count = np.where(good, light, 0).astype(float), good.sum(axis=-1)
+        mean = x.sum(axis=-1) / count
+        squares = np.where(good, (x - mean[..., np.newaxis]) ** 2, 0).sum(axis=-1)
+        variance[ys, xs] = squares / (count - 1)
+        null[ys, xs] = (good & (light == 0)).sum(axis=-1) / count
+    return replace(render, variance=variance).noise(scale), null
 
 
 def _examples(
@@ -804,10 +867,11 @@ def _settings(renders: Sequence[RankedRender]) -> dict[str, tuple[str, ...]]:
 
 
 def _dataset(
-    renders: Sequence[RankedRender], noise: Floats, least: Array, q: Floats, ats: Sequence[At]
+    renders: Sequence[RankedRender], scale: Floats, least: Array, q: Floats, ats: Sequence[At]
 ) -> Any:
     import xarray as xr
 
+    noise = np.stack([render.noise(scale) for render in renders])
     names = [render.name for render in renders]
     height, width, _ = renders[0].mean.shape
     coords = {

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from chdstat import viz
-from chdstat._core.display import capital, number, percent
+from chdstat._core.display import capital, percent
 from chdstat._core.doors import report
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
@@ -96,7 +96,6 @@ def _explanations(noise: NoiseRanking) -> list[dict[str, str]]:
             "ratio": str(cause.ratio),
             "null": cause.null_share.shown(percent),
             "least_null": percent(cause.least_null_share),
-            "tail": number(cause.tail_index),
             "meaning": Label[cause.pattern.upper()].meaning,
         }
         for cause in noise.causes

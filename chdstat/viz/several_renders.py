@@ -305,8 +305,9 @@ def _ranking(contrasts: Contrasts, found: NoiseRanking, width: Width, fig: Figur
     image = across / columns * upright(found.maps.sizes["y"], found.maps.sizes["x"])
     inset = 0.48 * across / columns if marks else 0
     below = _below(found, across)
-    differ = [name for name, of in contrasts.contrasts.items() if of.outcome == "differ"]
-    heights = [rows * (image + inset + 0.15), rows * (image + 0.15) + 0.45, *below]
+    differ = _differing(contrasts, names[-1])
+    titles = 0.3 if differ else 0.15
+    heights = [rows * (image + inset + 0.15), rows * (image + titles) + 0.45, *below]
     figure = page(fig, sum(heights) + 0.2, width)
     parts = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     # Colours of renders are not those of the marks.
@@ -315,6 +316,14 @@ def _ranking(contrasts: Contrasts, found: NoiseRanking, width: Width, fig: Figur
     _draw_noise(figure, parts[1], found, columns, differ)
     _draw_winners(figure, [parts[2 + i] for i in range(len(below))], found, colors, across)
     return figure
+
+
+def _differing(contrasts: Contrasts, last: str) -> list[str]:
+    """Return the renders whose means differ; the last one if all others differ from it."""
+    differ = [name for name, of in contrasts.contrasts.items() if of.outcome == "differ"]
+    if len(differ) < len(contrasts.contrasts):
+        return differ
+    return [last] if len(differ) > 1 else [*differ, last]
 
 
 def _mark_of(example: ExamplePixel) -> Mark:
@@ -367,8 +376,10 @@ def _draw_noise(
         drawn = ax.imshow(shown, cmap=color_map(), norm=norm, interpolation="nearest")
         low_rank, high_rank = order.rank(name)
         rank = f"{low_rank}" if low_rank == high_rank else f"{low_rank} to {high_rank}"
-        title = f"{'noise ' * (room > _NAMED)}{number(order.noise[name])}, rank {rank}"
-        bare(ax, within(title + ", mean differs" * (name in differ), room))
+        title = f"{'noise ' * (room > _NAMED)}{number(order.noise.get(name, 0))}, rank {rank}"
+        lines = ["no light" if name in found.unlit else title]
+        lines += ["mean differs"] * (name in differ)
+        bare(ax, "\n".join(within(line, room) for line in lines))
         axes.append(ax)
     look: Any = {"orientation": "horizontal", "shrink": 0.6, "aspect": 45, "pad": 0.02}
     bar = figure.colorbar(drawn, ax=axes, **look)

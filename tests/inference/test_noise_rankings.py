@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.resampling import Blocks
-from chdstat.errors import InputError
-from chdstat.inference.noise_rankings import RankedRender, noise_ranking
+from chdstat._core.resampling import Blocks, Interval
+from chdstat.errors import InputError, LeftOutWarning
+from chdstat.inference.noise_rankings import NoiseOrder, RankedRender, noise_ranking
 from chdstat.samples import Samples
+from chdstat.viz.several_renders import _differing
 
 SIZE, SPP = 48, 64
 HALF = np.broadcast_to(np.arange(SIZE) < SIZE // 2, (SIZE, SIZE))
@@ -59,12 +61,12 @@ def test_each_render_wins_where_it_is_less_noisy(ranked):
 
 
 def test_excess_noise_is_explained_by_the_pattern_that_has_it():
-    null_heavy = image(0.1, seed=1)
+    null_heavy = image(0.1, seed=1, spp=2 * SPP)  # half of them tell the patterns
     rng = np.random.default_rng(2)
-    hit = rng.random((SIZE, SIZE, 1, SPP)) < 0.25
+    hit = rng.random(null_heavy.shape) < 0.25
     there = HALF[..., np.newaxis, np.newaxis]
     null_heavy = np.where(there, np.where(hit, 4 * null_heavy, 0), null_heavy)
-    noise = chd.contrast({"misses": null_heavy, "finds": image(0.1, seed=4)}).noise
+    noise = chd.contrast({"misses": null_heavy, "finds": image(0.1, seed=4, spp=2 * SPP)}).noise
     cause = noise.causes[0]
     assert (cause.name, cause.least, cause.pattern) == ("misses", "finds", "null_heavy")
     assert cause.share.low > 0.9
@@ -73,6 +75,26 @@ def test_excess_noise_is_explained_by_the_pattern_that_has_it():
     assert cause.least_null_share == 0
     true = (0.25 * 16 * 1.1 - 1) / 0.1
     assert cause.ratio.value == pytest.approx(true, rel=0.1)
+
+
+def test_pixels_are_not_explained_by_the_samples_that_pick_them():
+    # Every pixel of "b" has 1.69 times the variance, so that its fireflies only pick the unlucky.
+    def law(rng):
+        shape = (32, 32, 1, 64)
+        rare = rng.random(shape) < 1 / 500
+        return rng.gamma(2, size=shape) + rare * rng.gamma(4, 20, size=shape)
+
+    mean = 2 + 80 / 500
+    for seed in (1, 2):  # "b" is surely noisier in both
+        rng = np.random.default_rng(seed)
+        a = law(rng)
+        b = np.maximum(mean + (law(rng) - mean) * 1.3, 1e-4)
+        noise = chd.contrast({"a": a.astype(np.float32), "b": b.astype(np.float32)}).noise
+        assert noise.order.surely("a", "b")
+        for cause in noise.causes:
+            assert cause.ratio.low < 1.69 * 1.5
+            assert cause.share.low < 3 * cause.pixels
+            assert " null" not in cause.details  # neither has null samples
 
 
 def test_a_biased_render_does_not_win_without_a_word():
@@ -85,8 +107,76 @@ def test_a_biased_render_does_not_win_without_a_word():
     assert found["darker"].outcome == "differ"
     assert found["a"].outcome == "no difference found"
     assert found.noise.order.names[0] == "darker"
-    assert "darker differs from b" in found.means
-    assert "lacks light also has less noise" in found.means
+    assert "% darker as a whole) differs from b" in found.means
+    assert "lacks light also has less noise: perhaps darker." in found.means
+    assert _differing(found, "b") == ["darker"]
+
+
+def test_the_last_render_is_marked_if_all_others_differ_from_it():
+    found = chd.contrast(
+        {
+            "a": image(0.4, seed=2, size=16),
+            "b": image(0.4, seed=3, size=16),
+            "darker": image(0.2, seed=1, mean=0.9, size=16),
+        }
+    )
+    assert "as a whole) differ from darker" in found.means
+    assert "perhaps darker." in found.means
+    assert _differing(found, "darker") == ["darker"]
+    titles = [ax.get_title().split("\n") for ax in found.plot().axes]
+    assert [title[1] for title in titles if len(title) > 1] == ["mean differs"]
+
+
+def test_a_brighter_render_with_less_noise_does_not_lack_light():
+    renders = {"bright": image(0.2, seed=1, mean=1.2, size=16), "a": image(0.4, seed=2, size=16)}
+    found = chd.contrast(renders)
+    assert "% brighter as a whole) differs from a" in found.means
+    assert "lacks light" not in found.means
+
+
+def test_a_render_without_light_is_not_ranked():
+    lit = {"a": image(0.4, seed=2, size=16), "b": image(0.8, seed=3, size=16)}
+    for black in (np.zeros_like(lit["a"]), np.full_like(lit["a"], np.nan)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LeftOutWarning)
+            found = chd.contrast({"black": black, **lit})
+        alone = chd.contrast(lit).noise
+        assert found.noise.order.names == alone.order.names == ("a", "b")
+        assert found.noise.order.ratios["a", "b"].value == alone.order.ratios["a", "b"].value
+        assert found.noise.wins()["black"] == (0, 0)
+        assert found.noise.wins()["a"][0] == alone.wins()["a"][0]
+        assert "Not ranked: black" in found.conclusion
+        assert [row["render"] for row in found.table()] == ["a", "b", "black"]
+        assert [*found.table()[0]][-1] == "conclusion"
+        found.plot()
+    found = chd.contrast({"a": lit["a"], "black": np.zeros_like(lit["a"])}).noise
+    assert not found.order.surely("black", "a")
+    assert found.wins()["black"] == (0, 0)
+    assert not found.causes
+
+
+def test_a_pair_that_is_not_adjacent_is_told_too():
+    ratios = {
+        ("a", "b"): Interval(0.8, 0.6, 1.0),
+        ("b", "c"): Interval(0.8, 0.6, 1.0),
+        ("a", "c"): Interval(0.5, 0.4, 0.6),
+        ("c", "d"): Interval(0.5, 0.4, 0.6),
+        ("b", "d"): Interval(0.4, 0.3, 0.5),
+        ("a", "d"): Interval(0.3, 0.2, 0.4),
+    }
+    order = NoiseOrder("equal spp", tuple("abcd"), dict.fromkeys("abcd", 1.0), ratios)
+    assert order.conclusion == (
+        "At equal spp, a and b cannot be told apart, ratio 0.80 [0.60, 1.00]; b and c cannot be "
+        "told apart, ratio 0.80 [0.60, 1.00]; c has 0.50 [0.40, 0.60] of the variance of d; "
+        "a has 0.50 [0.40, 0.60] of the variance of c."
+    )
+
+
+def test_one_pixel_has_no_winner_without_an_order():
+    x = [image(v, seed=s, size=1, spp=64) for s, v in enumerate((0.01, 1.0))]
+    found = noise_ranking(of_arrays(x), patterns=False)
+    assert not found.order.surely("A", "B")
+    assert found.wins()["A"] == (0, 0)
 
 
 def test_fireflies_are_doubted():
