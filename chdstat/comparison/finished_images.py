@@ -32,6 +32,8 @@ _SAME = 1e-6
 """Relative difference up to which an image is an exact reference, up to rounding."""
 _TILE, _REACH = 64, 12
 """Edge of the tiles of FLIP, and more pixels than its filters reach at 67 pixels per degree."""
+_WIDEST = 1e3
+"""Upper ends of so many times the error say nothing: all of it lies in a few pixels."""
 _BLOCKS = 8
 """Blocks along each side of the image, as for estimators."""
 
@@ -137,11 +139,15 @@ class ImageErrors(Tabled):
 
 
 def _in_words(found: Interval[float]) -> str:
-    """Return an error with its interval; one that may be 0 is at most its upper end."""
+    """Return an error with its interval; of one that may be 0, with the upper end."""
     if not np.isfinite(found.value):
         return "cannot tell"
     if found.low <= 0 < found.high:
-        return f"< {number(found.high)}"
+        if found.value <= 0:
+            return f"< {number(found.high)}"
+        known = found.high < _WIDEST * found.value
+        most = f"< {number(found.high)}" if known else "upper end unknown"
+        return f"{number(found.value)} ({most})"
     return with_interval(found.value, found.low, found.high)
 
 

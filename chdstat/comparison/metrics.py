@@ -28,7 +28,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import ndimage, stats
 
 from chdstat._core.arrays import Array, generator, spans
 from chdstat._core.display import (
@@ -483,6 +483,8 @@ _SHOWN = 0.999
 """Quantile of the lit pixels that the least exposure shows: a few lamps may stay white."""
 _WHITE = 2.1189
 """Radiance that the tone curve of HDR-FLIP (ACES) shows at 85 % of white."""
+_MEDIAN = 5
+"""Edge in pixels of the median that the exposures look at."""
 _MOST = 16
 """Most exposures, a stop apart if they suffice."""
 
@@ -492,7 +494,8 @@ def exposures(reference: Array) -> tuple[float, float]:
 
     At the least, the brightest lit pixels but one in a thousand are shown at 85 % of white; at the
     largest, half of the lit pixels are at least as bright. HDR-FLIP takes the maximum and the
-    median of all pixels instead.
+    median of all pixels instead, and no median of 5 x 5 pixels before: the noise of a reference
+    makes its brightest pixels brighter.
 
     Examples
     --------
@@ -502,7 +505,8 @@ def exposures(reference: Array) -> tuple[float, float]:
     ((0.0, 0.0), (1.0, 1.0), (0.0, 0.0))
     """
     light = np.broadcast_to(np.maximum(reference, 0), (*reference.shape[:2], 3)) @ _LUMINANCE
-    lit = light[light > _LIT * light.mean()]
+    lit, smooth = (x[x > _LIT * x.mean()] for x in (light, ndimage.median_filter(light, _MEDIAN)))
+    lit = smooth if 2 * smooth.size > lit.size else lit  # else there is little but specks
     if not lit.size:
         return 0.0, 0.0
     start, stop = (

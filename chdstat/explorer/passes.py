@@ -71,6 +71,12 @@ class Passes:
         with self._changed:
             self._asked.pop(who, None)
 
+    @property
+    def idle(self) -> bool:
+        """Whether nobody waits for a pass."""
+        with self._changed:
+            return not any(name in self._work for name in self._asked.values())
+
     def drop(self, kind: str) -> None:
         """Drop the passes that nobody waits for, of names that begin alike."""
         with self._changed:

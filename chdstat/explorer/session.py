@@ -195,6 +195,8 @@ class Session:
         workspace.want_errors(self, reference)
         said = workspace.passes.failures.get(f"errors {reference}", "being measured")
         found = workspace.errors.get(reference)
+        if found and reference not in workspace.outdated:
+            said = ""
         names = workspace.names[shown], workspace.names[reference]
         table = errors_table(found, names[1], said)
         self._page.send(

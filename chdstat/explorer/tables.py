@@ -246,11 +246,16 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
 
 
 def errors_table(found: ImageErrors | None, reference: str, said: str) -> Table:
-    """Return the errors of the images against one of them; `said` where they are not known yet."""
+    """Return the errors of the images against one of them.
+
+    `said` tells what becomes of errors that are not known, or of fewer samples; else it is "".
+    """
     title, shown = f"Errors against {reference}", found.shown if found else []
     columns = list(shown[0]) if shown else ["image"]
     rows = [[row[column] for column in columns] for row in shown]
-    return _table(title, columns, rows, "; ".join(found.notes) if found else said)
+    old = f"of fewer samples: {said} anew" if found and said else ""
+    note = "; ".join(filter(None, [old, *found.notes])) if found else said
+    return {**_table(title, columns, rows, note), "old": old}
 
 
 def errors_line(table: Table, image: str, reference: str) -> str:
@@ -258,7 +263,8 @@ def errors_line(table: Table, image: str, reference: str) -> str:
 
     Examples
     --------
-    >>> table = {"columns": ["image", "MSE"], "rows": [["a", "0.1"]], "note": "being measured"}
+    >>> table = {"columns": ["image", "MSE"], "rows": [["a", "0.1"]]}
+    >>> table |= {"note": "being measured", "old": ""}
     >>> errors_line(table, "a", "b"), errors_line(table, "c", "b")
     ('Against b: MSE 0.1', 'Errors against b: being measured')
     """
@@ -267,7 +273,7 @@ def errors_line(table: Table, image: str, reference: str) -> str:
     for name, *cells in table["rows"]:
         if name == image:
             errors = map(" ".join, zip(table["columns"][1:], cells, strict=True))
-            return f"Against {reference}: {' · '.join(errors)}"
+            return f"Against {reference}: {' · '.join(filter(None, [*errors, table['old']]))}"
     return f"Errors against {reference}: {table['note']}"
 
 

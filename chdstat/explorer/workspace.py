@@ -169,6 +169,8 @@ class Workspace:
         Maps, finished or not, by what `key` says and by their name.
     errors
         Errors of the other images against one, by its index.
+    outdated
+        Indices of errors that are of fewer samples than there are now.
     suggested
         Names and places of pixels that are worth a first look.
     passes
@@ -190,7 +192,7 @@ class Workspace:
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))
         self.overalls = [empty for _ in sources]
         self.maps: dict[tuple[str, str], Map] = {}
-        self.errors: dict[int, ImageErrors] = {}
+        self.errors, self.outdated = dict[int, ImageErrors](), set[int]()
         self.suggested: list[tuple[str, PixelIndex]] = []
         self.clicks, self.exports, self.additions, self.images = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
@@ -282,7 +284,8 @@ class Workspace:
 
     def want_errors(self, who: Hashable, reference: int) -> None:
         """Let a page wait for the errors of the images against one of them."""
-        if len(self.sources) > 1 and self._drawn and reference not in self.errors:
+        known = reference in self.errors and reference not in self.outdated
+        if len(self.sources) > 1 and self._drawn and not known:
             work, name = self._measure(reference), f"errors {reference}"
             self.passes.ask((who, "errors"), name, work, patient=True)
 
@@ -300,7 +303,12 @@ class Workspace:
         return self.maps.get((self.key(view), name))
 
     def refresh(self) -> None:
-        """Go on with the samples that were added to stores since, if there are any."""
+        """Go on with the samples that were added to stores since, if there are any.
+
+        Passes that somebody waits for end first: begun anew with each growth, they never would.
+        """
+        if not self.passes.idle:
+            return
         grown = [
             source.refreshed() if isinstance(source, StoreSource) and not source.complete else None
             for source in self.sources
@@ -309,7 +317,7 @@ class Workspace:
             self.sources = [new or old for new, old in zip(grown, self.sources, strict=True)]
             self.passes.forget()
             self.maps.clear()
-            self.errors.clear()
+            self.outdated.update(self.errors)
             self._drawn = False
             self.passes.ask(self, "start", self._draw())
             self.tell("source")
@@ -373,6 +381,7 @@ class Workspace:
         found = yield from measuring_errors(images, truth, name=name, means=means)
         if source is self.sources[reference]:  # else it has grown
             self.errors[reference] = found
+            self.outdated.discard(reference)
 
     def _brush(self, source: StoreSource, key: str, view: View) -> Pass:
         assert view.brush is not None

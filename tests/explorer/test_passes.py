@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.comparison import image_errors
 from chdstat.errors import StoreError
 from chdstat.explorer.address import View
+from chdstat.explorer.image_sources import StoreSource
 from chdstat.explorer.passes import Passes
+from chdstat.explorer.tables import errors_line, errors_table
 from chdstat.explorer.workspace import opened
 
 
@@ -109,6 +112,36 @@ def test_what_is_forgotten_is_begun_anew(stepped):
     passes.ask("one", "a", stepped.work("a", count=2))
     stepped.ends("a")
     assert stepped.steps == ["a"] * 3
+
+
+def test_a_store_that_grows_lets_passes_end_and_errors_stand(monkeypatch, stepped):
+    renders = np.random.default_rng(1).gamma(1.0, size=(2, 16, 16, 3, 16))
+    shared = opened([chd.Samples.from_array(x, axes="yxcs", scene="noise") for x in renders])
+    shared.passes.stop()
+    shared.passes = passes = stepped.passes
+    monkeypatch.setattr(StoreSource, "refreshed", lambda self: StoreSource(self.samples))
+    for source in shared.sources:
+        source.complete = False
+    before = list(shared.sources)
+    passes.ask("page", "map", stepped.work("map"))
+    stepped.at.acquire()
+    shared.refresh()
+    assert shared.sources == before
+    stepped.ends("map")
+    assert stepped.steps == ["map"] * 3
+    measured = image_errors({"noise (2)": renders[1].mean(axis=-1)}, renders[0].mean(axis=-1))
+    shared.errors[0] = measured
+    shared.refresh()
+    assert shared.sources != before
+    assert shared.errors[0] is measured
+    stepped.ends("start")
+    shared.want_errors("page", 0)
+    stepped.ends("errors 0")
+    assert shared.errors[0] is not measured
+    assert shared.outdated == set()
+    table = errors_table(measured, "noise", "being measured")
+    assert "of fewer samples: being measured anew" in errors_line(table, "noise (2)", "noise")
+    assert "fewer" not in errors_line(errors_table(measured, "noise", ""), "noise (2)", "noise")
 
 
 def test_a_contrast_is_computed_once_for_all_its_maps(monkeypatch, stepped):
