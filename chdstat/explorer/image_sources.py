@@ -225,7 +225,7 @@ class StoreSource:
         self.samples = samples
         self.size = samples.shape[:2]
         self._counts = samples.counts if samples.unequal else None
-        self.channels = samples.channels
+        self.channels = _named(samples.channels)
         self.name = samples.path.name if samples.path else samples.name
         self.title = " · ".join(dict.fromkeys((self.name, samples.name)))
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
@@ -477,7 +477,7 @@ class ImageSource:
 
     def __init__(self, path: Path) -> None:
         found = read_exr(path)
-        self.channels, self._image = found.channels, found.image
+        self.channels, self._image = _named(found.channels), found.image
         self.size: tuple[int, int] = (found.image.shape[0], found.image.shape[1])
         self.name = self.title = path.name
 
@@ -489,6 +489,11 @@ class ImageSource:
     def overall(self) -> Overall:
         """Return the image."""
         return replace(Overall.empty(*self.size, len(self.channels)), mean=self._image)
+
+
+def _named(channels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of channels; a single one is luminance, whatever files call it."""
+    return channels if len(channels) > 1 else ("luminance",)
 
 
 Sampled = StoreSource | SceneSource

@@ -106,7 +106,7 @@ class Map(MapKind):
         low, high = color_limits(self.values, diverging=self.diverging, log=self.log)
         if self.log:  # a lamp has no variance but that of rounding
             low = max(low, high / 10**_DECADES)
-        return low, high
+        return low, min(high, 1.0) if self.name == BRUSHED else high
 
     def scaled(self, numbers: npt.ArrayLike) -> Array:
         """Return what colours follow of numbers: their logarithm, or themselves."""
@@ -144,7 +144,7 @@ def _of_statistics(spp: int) -> dict[str, tuple[Map, Statistic[Any]]]:
 
 IMAGES = _table(
     Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
-    Map("variance", "Variance of luminance", "(W sr⁻¹ m⁻²)²", log=True),
+    Map("variance", "Variance of luminance", log=True),  # renders of others have units of their own
     Map("variation", "Standard deviation over mean", "luminance", log=True, ends=(1e-2, 1e2)),
     # One bright sample among nulls has an error as large as the mean.
     Map("relative_error", "Standard error over mean", "luminance", log=True, ends=(1e-3, 1)),

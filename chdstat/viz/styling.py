@@ -392,6 +392,8 @@ def color_limits(
     ((0.02, 1.98), (-1.0, 1.0))
     >>> color_limits([0.25, 0.25, 2.0], diverging=True, log=True)
     (0.25, 4.0)
+    >>> color_limits([0.0, 0.0]), color_limits([2.0, 2.0])
+    ((0.0, 1.0), (1.5, 2.5))
     """
     x = np.asarray(values, float)
     x = x[np.isfinite(x) & (x > 0)] if log else x[np.isfinite(x)]
@@ -403,7 +405,9 @@ def color_limits(
         low = -high
     else:
         low, high = (float(v) for v in np.percentile(x, (1, 99)))
-    if low == high:
+    if low == high == 0 and not log and not diverging:
+        high = 1.0  # counts and shares are not negative
+    elif low == high:
         low, high = low - 0.5, high + 0.5
     return (2.0**low, 2.0**high) if log else (low, high)
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.address import NULLS, View, parse_view
+from chdstat.explorer.address import NULLS, View, channel_name, parse_view
 from chdstat.explorer.brushing import brushed
-from chdstat.explorer.image_sources import BINS, ImageAccumulator, StoreSource, stream
+from chdstat.explorer.image_sources import BINS, ImageAccumulator, ImageSource, StoreSource, stream
 from chdstat.explorer.panels import image_panel
 from chdstat.explorer.selection import SelectionResults
 from chdstat.explorer.workspace import Workspace
+from chdstat.io import write_exr
 from tests.luminance import LUMINANCE
 
 SIZE, SPP = (70, 9), 130
@@ -80,6 +81,13 @@ def test_a_brush_counts_by_the_channel_that_is_shown():
     weights = [3 * LUMINANCE[0], 3 * LUMINANCE[2]]
     assert counted(samples, (0.9 * weights[1], 1.1 * weights[1])).count.tolist() == [[0, 4]]
     assert counted(samples, (0.9 * weights[0], 1.1 * weights[0])).count.tolist() == [[4, 0]]
+
+
+def test_a_single_channel_is_luminance(tmp_path):
+    source = StoreSource(chd.Samples.from_array(np.ones((2, 2, 1, 8), np.float32)))
+    write_exr(tmp_path / "grey.exr", np.ones((2, 2, 1), np.float32))
+    assert source.channels == ImageSource(tmp_path / "grey.exr").channels == ("luminance",)
+    assert channel_name("all", source.channels) == "luminance"
 
 
 def test_first_samples_of_all_pixels_come_first(known):

@@ -15,6 +15,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import workspace
+from chdstat.explorer.address import View
 from chdstat.explorer.bokeh_document import rgba
 from chdstat.explorer.image_sources import (
     FIRST_SPP,
@@ -25,7 +26,7 @@ from chdstat.explorer.image_sources import (
     pooled,
     stream,
 )
-from chdstat.explorer.overlays import IMAGES, MAPS, map_kind, walk
+from chdstat.explorer.overlays import IMAGES, MAPS, map_kind, map_of_view, walk
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.patterns import classify
 from chdstat.rendering import render_pixels
@@ -288,6 +289,10 @@ def test_pixels_without_noise_do_not_stretch_the_colours():
     values[:2] = 1e-17
     values[2:4] = 10
     assert replace(MAPS["variance"], values=values).limits == pytest.approx((1e-7, 10))
+    assert MAPS["variance"].unit == ""  # samples of others may have any
+    assert replace(MAPS["bad_count"], values=np.zeros((2, 2))).limits == (0, 1)
+    share = replace(map_of_view(View(brush=(1.0, 2.0))), values=np.ones((2, 2), np.float32))
+    assert share.limits == pytest.approx((0.5**0.5, 1))
 
 
 def test_a_pixel_shows_the_samples_that_it_has():
