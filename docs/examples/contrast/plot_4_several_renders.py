@@ -27,13 +27,12 @@ found.plot()
 # Points on lamps meet the light nearly always. But where a surface is shiny or a lamp is near, some
 # count for far too much. Following the material has no such fireflies on shiny surfaces, and mostly
 # ends in the dark: the pixels are null-heavy. Weighting takes from each what it does well,
-# but a sample is two paths then, which take longer: the order at equal time is another question. A
-# share of more than 100 % says that a render has less noise than the best one elsewhere.
+# but a sample is two paths then, which take longer: the order at equal time is another question.
 
 found
 
 # %%
-# The pattern of the pixels that hold most of the additional variance says why:
+# If one pattern surely holds most of the additional variance, it says why:
 
 noise = found.noise
 best, *others = noise.order.names
@@ -46,10 +45,12 @@ for name in others:
     cause = max((c for c in noise.causes if c.name == name), key=lambda c: c.share.value)
     reasons.append(
         f"by {name}, the variance is {1 / ratio.value:.1f} times as large ({1 / ratio.high:.1f} to "
-        f"{1 / ratio.low:.1f}), mostly in {cause.pattern.replace('_', '-')} pixels"
+        f"{1 / ratio.low:.1f})"
     )
+    if cause.share.low > 0.5:
+        reasons[-1] += f", mostly in {cause.pattern.replace('_', '-')} pixels"
     if (best, name) in noise.order.doubtful:
-        reasons[-1] += ", whose own variance cannot be trusted yet"
+        reasons[-1] += ", but only by pixels whose variance cannot be trusted yet"
 wins, spp = noise.wins(), noise.spp[best]
 decided = sum(pixels for pixels, _ in wins.values())
 sentence = f"At equal samples, sampling by {best} has the least noise: {'; '.join(reasons)}. "
