@@ -85,9 +85,12 @@ def test_a_short_report_is_read_in_minutes(radiance, short):
 
 
 def check_pages(path):
-    """No page but the last ends in white, which is about half full, and none has a hole."""
+    """No page but the last ends in a third of white or more, and none has a hole.
+
+    What does not fit below, such as a table whose rows stay together, is on the next page.
+    """
     *first, last = white_shares(path)
-    assert all(below < 0.2 for below, _ in first), first
+    assert all(below < 0.34 for below, _ in first), first
     assert last[0] < 0.6 or not first, last
     assert all(hole < 0.2 for _, hole in (*first, last)), (first, last)
 
