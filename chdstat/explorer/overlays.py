@@ -106,7 +106,10 @@ class Map(MapKind):
         low, high = color_limits(self.values, diverging=self.diverging, log=self.log)
         if self.log:  # a lamp has no variance but that of rounding
             low = max(low, high / 10**_DECADES)
-        return low, min(high, 1.0) if self.name == BRUSHED else high
+        if self.name == BRUSHED:  # shares; there may be none yet
+            high = min(high, 1.0)
+            low = low if low < high else high / 2
+        return low, high
 
     def scaled(self, numbers: npt.ArrayLike) -> Array:
         """Return what colours follow of numbers: their logarithm, or themselves."""

@@ -293,6 +293,7 @@ def test_pixels_without_noise_do_not_stretch_the_colours():
     assert replace(MAPS["bad_count"], values=np.zeros((2, 2))).limits == (0, 1)
     share = replace(map_of_view(View(brush=(1.0, 2.0))), values=np.ones((2, 2), np.float32))
     assert share.limits == pytest.approx((0.5**0.5, 1))
+    assert replace(share, values=np.full((2, 2), np.nan)).limits == (0.5, 1)  # none yet
 
 
 def test_a_pixel_shows_the_samples_that_it_has():
