@@ -133,13 +133,15 @@ def track(
     ...     for _ in range(3):
     ...         advance(1)
     """
-    if not show or _silent.get():
-        before = _silent.get()
+    if _silent.get():  # a generator within may end after what silences it
+        yield lambda _: None
+        return
+    if not show:
         _silent.set(True)
         try:
             yield lambda _: None
         finally:
-            _silent.set(before)
+            _silent.set(False)
         return
     job = _TrackedWork(description, total, unit, time.monotonic())
     display = _begin(job)

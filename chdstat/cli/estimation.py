@@ -318,10 +318,15 @@ def contrast(
     *names, last = sources
     page = None if out is None else asked.target(out, ".pdf")  # refused before the work
     table = None if junit is None else output.junit_target(junit, asked)
-    renders = _stores_of_one_view(sources)
-    _check_renders(names, page, ranked=bool(renders))
+    renders, unranked = _stores_of_one_view(sources)
+    _check_renders(names, page, ranked=bool(renders), why=unranked)
     other = _reference_of(last, variance, reference_spp)
-    options = {"alpha": alpha / len(names), "seconds": seconds, "distributions": distributions}
+    options: dict[str, Any] = {
+        "alpha": alpha / len(names),
+        "seconds": seconds,
+        "distributions": distributions,
+        "progress": asked.progress,
+    }
     contrasts: dict[str, Contrast] = {}
     times: dict[str, float] = {}
     for name, (a, drawn) in _renders_of(names, other, asked, finds, render_spp).items():
@@ -339,30 +344,33 @@ def contrast(
         save_figure((together if len(names) > 1 else found).plot(), page)
     if table is not None:
         output.write_junit(table, contrasts, times)
-    _print_contrasts(together, asked)
+    _print_contrasts(together, asked, last, unranked)
     more = [("report", *sources, "-o", "renders.pdf")] if renders else []
     output.say_next(asked.quiet, *more, ("explore", *names, last))
     if code := _CODES[together.outcome]:
         raise typer.Exit(code)
 
 
-def _stores_of_one_view(sources: list[str]) -> dict[str, Samples]:
-    """Return the samples of all renders by name; none if they cannot be ranked by their noise."""
+def _stores_of_one_view(sources: list[str]) -> tuple[dict[str, Samples], str]:
+    """Return the samples of all renders by name, none if they cannot be ranked by their noise.
+
+    Return why, too, if all are stores.
+    """
     from chdstat.inference.noise_rankings import check_one_view
     from chdstat.inference.render_pairs import independent
     from chdstat.samples import is_store
 
     if len({*sources}) < max(2, len(sources)) or not all(map(is_store, sources)):
-        return {}
+        return {}, ""
     found = {name: independent(name) for name in sources}
     try:
         check_one_view(found)
-    except InputError:  # the contrasts say what is wrong with it
-        return {}
-    return found
+    except InputError as error:
+        return {}, str(error)
+    return found, ""
 
 
-def _check_renders(names: list[str], page: Path | None, *, ranked: bool) -> None:
+def _check_renders(names: list[str], page: Path | None, *, ranked: bool, why: str) -> None:
     """Refuse renders that cannot be contrasted together."""
     if not names:
         message = "contrast needs a render and what to contrast it with, got one path"
@@ -371,9 +379,10 @@ def _check_renders(names: list[str], page: Path | None, *, ranked: bool) -> None
         message = f"expected several renders, got {twice} twice"
         raise InputError(message)
     if page is not None and len(names) > 1 and not ranked:
+        got = why.partition(", got ")[2].partition(": ")[0] or f"{len(names)} renders"
         message = (
-            f"-o writes a page about one render or several stores of one view, got {len(names)} "
-            "renders; leave it out, or --junit"
+            f"-o writes a page about one render or several stores of one view, got {got}; leave it "
+            "out, or --junit"
         )
         raise InputError(message)
 
@@ -484,7 +493,7 @@ class _SceneDraws:
         self._drawn.close()
 
 
-def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:
+def _print_contrasts(found: Contrasts, asked: CommonOptions, last: str, unranked: str) -> None:
     """Print one contrast in full, or several as a table and what is not in order."""
     contrasts = list(found.contrasts.values())
     one = contrasts[0] if len(contrasts) == 1 else None
@@ -495,16 +504,18 @@ def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:
     output.print_sentences([found.means if one is None else one.conclusion])
     typer.echo()
     if one is None:
-        _print_means(found)
+        _print_means(found, last)
     else:
         output.print_table(one.table())
     if found.noise is not None:
         typer.echo()
         output.print_rows(rows := found.noise.in_words(), {name: name for name in rows[0]})
         output.print_notes(found.noise.facts())
+    elif unranked:
+        output.print_notes({"no ranking by noise": unranked})
 
 
-def _print_means(found: Contrasts) -> None:
+def _print_means(found: Contrasts, last: str) -> None:
     """Print contrasts of means as a table, and what is not in order."""
     shares = ("loss", "smallest_loss_image", "smallest_loss_tenth")
     rows = [
@@ -512,13 +523,12 @@ def _print_means(found: Contrasts) -> None:
         for row in found.mean_rows()
     ]
     output.print_rows(rows, _CONTRASTED)
-    output.print_notes(
-        {
-            name: of.conclusion
-            for name, of in found.contrasts.items()
-            if of.outcome != "no difference found"
-        }
-    )
+    unequal = {
+        name: of.conclusion
+        for name, of in found.contrasts.items()
+        if of.outcome != "no difference found"
+    }
+    output.print_notes({"A and B": f"each render is A, and {last} is B"} | unequal)
 
 
 @command(

@@ -6,6 +6,7 @@ converged image. It tests pixels, and regions, which show differences that no si
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -42,9 +43,9 @@ from chdstat._core.display import (
 from chdstat._core.doors import draw, report
 from chdstat._core.files import checked_target
 from chdstat._core.image_scales import relative_scale, tonemap
+from chdstat._core.progress import portion, track
 from chdstat._core.resampling import Blocks, Interval, q_values
 from chdstat._core.statistic import RADIANCE
-from chdstat._core.work import finished
 from chdstat.errors import InputError, Reason, check_probability
 from chdstat.inference.noise_rankings import (
     NoiseRanking,
@@ -633,8 +634,7 @@ def contrast(
         Seed of the 499 flips for windows; p-values of pixels need no seed. Also the first seed of
         `draw`, which counts up from it.
     progress
-        Show progress while renders are ranked: a bar in a terminal or notebook, elsewhere a line
-        every ten seconds.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------
@@ -684,20 +684,48 @@ def contrast(
             message = "contrast needs a render, got an empty mapping"
             raise InputError(message)
         b = Reference.of(b) or b
-        drawn: dict[str, Any] = {"spp": spp, "finds": finds}
-        found: dict[str, Contrast] = {
-            str(name): contrast(
-                of, b, alpha=alpha / len(a), **options, **(drawn if callable(of) else {})
-            )
-            for name, of in a.items()
-        }
-        return Contrasts(found, alpha)
-    if callable(a):
-        return finished(_drawing(a, b, alpha=alpha, spp=spp, finds=finds, **options))
-    if (spp, finds) != (None, None):
+        if any(map(callable, a.values())):
+            options |= {"spp": spp, "finds": finds}
+        return Contrasts(_each(a, b, alpha, progress, options), alpha)
+    if callable(a) or (spp, finds) != (None, None):
+        options |= {"spp": spp, "finds": finds}
+    with track("contrasting renders", 0, unit="render", show=progress):
+        return _one(a, b, alpha=alpha, **options)
+
+
+def _each(
+    a: Mapping[str, Any], b: Any, alpha: float, progress: bool, options: Mapping[str, Any]
+) -> dict[str, Contrast]:
+    """Contrast each of several renders with one."""
+    found = {}
+    with track("contrasting renders", len(a), unit="render", show=progress) as advance:
+        for name, of in a.items():
+            own = {n: v for n, v in options.items() if callable(of) or n not in ("spp", "finds")}
+            with portion(1, advance):
+                found[str(name)] = _one(of, b, alpha=alpha / len(a), **own)
+    return found
+
+
+def _one(a: Any, b: Any, **options: Any) -> Contrast:
+    """Contrast a render with another, and show what is being done."""
+    if not callable(a) and "spp" in options:
         message = "spp and finds are for a function that draws samples, got a finished render"
         raise InputError(message)
-    return finished(contrasting(a, b, alpha=alpha, **options))
+    work = _drawing(a, b, **options) if callable(a) else contrasting(a, b, **options)
+    what, done = "", 0.0
+    with contextlib.ExitStack() as shown:
+        while True:
+            try:
+                step, share = next(work)
+            except StopIteration as end:
+                found: Contrast = end.value
+                return found
+            if step != what:
+                shown.close()
+                advance = shown.enter_context(track(step, 100, unit="%"))
+                what, done = step, 0.0
+            advance(100 * (share - done))
+            done = share
 
 
 def _ranked(
@@ -720,10 +748,8 @@ def _ranked(
         raise InputError(message)
     check_one_view(renders)
     *names, last = renders
-    found = {
-        name: contrast(renders[name], renders[last], alpha=alpha / len(names), **options)
-        for name in names
-    }
+    others = {name: renders[name] for name in names}
+    found = _each(others, renders[last], alpha, progress, options)
     return with_noise(Contrasts(found, alpha), renders, progress=progress)
 
 
@@ -759,7 +785,8 @@ def with_noise(
         )
         for (name, samples), (of, side, i) in zip(renders.items(), sides, strict=True)
     ]
-    noise = noise_ranking(ranked, alpha=found.alpha, patterns=patterns, progress=progress)
+    with track("ranking renders", 0, unit="render", show=progress):
+        noise = noise_ranking(ranked, alpha=found.alpha, patterns=patterns, progress=progress)
     return replace(found, noise=noise)
 
 

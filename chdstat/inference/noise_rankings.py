@@ -861,7 +861,8 @@ def _examples(
 
 def _settings(renders: Sequence[RankedRender]) -> dict[str, tuple[str, ...]]:
     """Return what differs in how renders were made, in words, without a list of equal values."""
-    made = [provenance(render.samples.attrs, render.samples.shape) for render in renders]
+    # Sizes are equal, and numbers of samples stand beside the names.
+    made = [provenance(render.samples.attrs, (*render.samples.shape[:3], 1)) for render in renders]
     names = {name: None for one in made for other in made for name in differing(one, other)}
     return {name: tuple(of.get(name, "—") for of in made) for name in names}
 
@@ -926,7 +927,7 @@ def check_one_view(renders: Mapping[str, Samples]) -> None:
         if one.shape[:3] != other.shape[:3]:
             message = (
                 f"expected renders of one size, got {sizes[0]} in {first} and {sizes[1]} in "
-                f"{name}: render all at one size, or cut them with isel(y=, x=)"
+                f"{name}: render all at one size"
             )
             raise InputError(message)
         scenes = [str(x.attrs.get("scene") or "") for x in (one, other)]
@@ -935,7 +936,7 @@ def check_one_view(renders: Mapping[str, Samples]) -> None:
         if all(hashes) and hashes[0] != hashes[1] and scenes[0] != scenes[1]:
             message = (
                 f"expected renders of one scene, got {scenes[0]} in {first} and {scenes[1]} in "
-                f"{name}: noise of different scenes has no ranking; chdstat.contrast(a, b) "
-                "contrasts their means"
+                f"{name}: noise of different scenes has no ranking; only their means can "
+                "be contrasted, with one as the second argument, b"
             )
             raise InputError(message)

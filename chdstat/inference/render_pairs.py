@@ -192,11 +192,19 @@ class Pair:
                 raise InputError(message)
         a = first.to_samples(variance) if first else independent(one)
         b = second or independent(two)
+        names = (
+            _name(first.name if first else one, a),
+            b.name if isinstance(b, Reference) else _name(two, b),
+        )
         if a.shape[:2] != b.shape[:2]:
             (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
+            named = [
+                f"{letter}{f', {name},' * (name != letter)}"
+                for letter, name in zip("AB", names, strict=True)
+            ]
             message = (
-                f"A has {width} x {height} pixels and B {columns} x {rows}: render both at one "
-                "size, or cut them with isel(y=, x=)"
+                f"{named[0]} has {width} x {height} pixels and {named[1]} {columns} x {rows}: "
+                "render both at one size"
             )
             raise InputError(message)
         if a.shape[2] != b.shape[2]:
@@ -226,10 +234,7 @@ class Pair:
         return cls(
             a,
             b,
-            (
-                _name(first.name if first else one, a),
-                b.name if isinstance(b, Reference) else _name(two, b),
-            ),
+            names,
             (counts[0], counts[-1]),
             (each[0], each[1] if len(each) > 1 else np.nan),
             paired,

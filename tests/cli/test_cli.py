@@ -326,6 +326,26 @@ def test_stores_are_ranked_by_their_noise(run, stored, tmp_path):
         assert f"chdstat {meant}" in " ".join(err.split())
 
 
+@pytest.mark.filterwarnings("ignore:A and B are renders of two scenes")
+def test_stores_of_two_scenes_are_not_ranked_and_it_is_said_why(run, stored, tmp_path):
+    stores = [stored(spp=96, size=(12, 10), seed=seed) for seed in (0, 3)]
+    other = tmp_path / "fog.zarr"
+    size = "--size", "12x10", "--backend", "scalar"
+    assert run("render", "gallery", *size, "--spp", 96, "-o", other, "-q")[0] == 0
+    said = f"cornell-box in {stores[0]} and gallery in {other}"
+    code, out, _ = run("contrast", *stores, other)
+    assert code == 3
+    out = " ".join(out.split())
+    assert f"no ranking by noise: expected renders of one scene, got {said}" in out
+    assert f"each render is A, and {other} is B" in out
+    code, _, err = run("contrast", *stores, other, "-o", tmp_path / "page.pdf")
+    assert (code, said in " ".join(err.split())) == (2, True)
+    small = chd.Samples.from_array(chd.open(stores[0]).read()[:6]).save(tmp_path / "s.zarr").path
+    code, _, err = run("contrast", *stores, small)
+    assert (code, f"B, {small}, 12 x 6" in " ".join(err.split())) == (2, True)
+    assert "isel" not in err
+
+
 def test_several_renders_are_contrasted_with_one_reference(run, compared, tmp_path):
     right, dark, reference = compared
     table = tmp_path / "found.xml"

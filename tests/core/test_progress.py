@@ -54,6 +54,19 @@ def test_one_option_silences_all_within(quick, capfd):
     assert capfd.readouterr().err == ""
 
 
+def test_a_generator_that_outlives_silence_does_not_keep_it(quick, capfd):
+    def drawn():
+        with track("drawing", 2):
+            yield
+
+    with track("contrasting", 1, show=False):
+        draws = drawn()
+        next(draws)
+    draws.close()
+    with track("counting", 4):
+        said_until(capfd, "counting: 0 %")
+
+
 def told_here():
     with track("in a thread", 1):
         time.sleep(0.02)

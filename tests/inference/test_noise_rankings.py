@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._core import progress
 from chdstat._core.resampling import Blocks, Interval
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.inference.noise_rankings import NoiseOrder, RankedRender, noise_ranking
@@ -334,6 +335,8 @@ def test_settings_that_differ_are_named():
     found = chd.contrast([one, two]).noise
     assert found.settings == {"Integrator": ("path", "direct")}
     assert found.names == ("A", "B")
+    few = [Samples.from_array(of, scene="box") for of in (x[0], x[1][..., :32])]
+    assert chd.contrast(few).noise.settings == {}
 
 
 SMALL = np.ones((16, 16, 1, 16), np.float32)
@@ -379,3 +382,15 @@ def test_strata_are_blocks_within_regions():
     ]
     assert of_region == [16] * 16
     assert len(np.unique(Blocks.strata(4, 4).region)) == 1
+
+
+def test_contrasts_tell_their_progress_unless_asked_not_to(monkeypatch, capfd):
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.001)
+    few = [image(0.5, seed=seed, size=32, spp=128) for seed in (1, 2, 3)]
+    for given in ((few[0], few[1]), ({"a": few[0]}, few[1])):
+        chd.contrast(*given)
+        assert "contrasting renders" in capfd.readouterr().err
+        chd.contrast(*given, progress=False)
+        assert capfd.readouterr().err == ""
+    chd.contrast(few, progress=False)
+    assert capfd.readouterr().err == ""
