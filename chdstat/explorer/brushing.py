@@ -143,7 +143,7 @@ def _named(brush: tuple[float | None, float | None], channel: str) -> str:
     if low is None:
         return f"with {channel} of {number(high)} or less"
     wide = (high - low) / max(abs(low), abs(high), 1e-300)  # a narrow range needs more digits
-    digits = min(max(3, 1 + math.ceil(-math.log10(max(wide, 1e-9)))), 9) if wide else 3
+    digits = min(max(3, 2 + math.ceil(-math.log10(max(wide, 1e-9)))), 9) if wide else 3
     return f"with {channel} from {number(low, digits)} to {number(high, digits)}"
 
 

@@ -68,7 +68,7 @@ def test_nulls_have_a_brush_of_their_own(known):
     assert counted(known, (2, None)).count.sum() == 11
     assert counted(known, (None, 2)).count.sum() == (SIZE[0] * SIZE[1] - 1) * SPP - 18 - 11
     near = counted(known, (99.94, 100.02)).told((99.94, 100.02), "luminance")
-    assert near.endswith("from 99.940 to 100.02")
+    assert near.endswith("from 99.9400 to 100.020")
     assert counted(known, (11, 12)).told((11, 12), "R").startswith("No pixel holds samples with R")
 
 
