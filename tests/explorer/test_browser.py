@@ -615,12 +615,18 @@ def test_several_images_are_compared(person, several):
     assert one.page.evaluate(FRONT) == 2
     one.page.keyboard.up("Shift")
     assert one.page.evaluate(FRONT) == 0
-    one.page.keyboard.press("2")
+    busy = """() => {
+      const key = { key: "2", code: "Digit2", bubbles: true };
+      document.querySelector("h1").dispatchEvent(new KeyboardEvent("keydown", key));
+      return document.querySelector("#scores").ariaBusy;
+    }"""
+    assert one.page.evaluate(busy) == "true"  # the numbers are those of the other image
     one.page.keyboard.press("Shift+Digit1")
     one.waits_for("location.search.includes('i=1') && location.search.includes('ref=0')")
     one.waits_for("document.querySelector('#headline').innerText.includes('of other.zarr')")
     one.waits_for(
         "document.querySelector('#scores').innerText.startsWith('Against box.zarr: MSE ')"
+        " && document.querySelector('#scores').ariaBusy === 'false'"
     )
     one.waits_for("!document.querySelector('#compared').hidden")
     assert "other.zarr against box.zarr" in one.text("#compared")
