@@ -216,11 +216,16 @@ class NoiseCause:
     least_null_share: float
 
     @property
+    def without_nulls(self) -> bool:
+        """Whether neither render has null samples there."""
+        return not (self.null_share.value or self.least_null_share)
+
+    @property
     def details(self) -> str:
         """The numbers of the pixels in words."""
         share = self.share.shown(percent)
         null = ""
-        if self.null_share.value or self.least_null_share:
+        if not self.without_nulls:
             null = (
                 f", {self.null_share.shown(percent)} of the samples null "
                 f"({percent(self.least_null_share)} in {self.least})"

@@ -56,6 +56,9 @@ def _ranking_document(found: Contrasts) -> Document:
         "rate": percent(noise.alpha),
         "timing": TIMING,
         "causes": _explanations(noise),
+        "magnified": ("", ", with one part magnified", ", with two parts magnified")[
+            len(noise.examples)
+        ],
         "settings": [{"name": name, "values": values} for name, values in noise.settings.items()],
     }
     return Document("ranking_report.typ", content, {"renders": viz.contrast(found)})
@@ -85,7 +88,8 @@ def _difference(loss: Interval[float]) -> str:
 
 
 def _explanations(noise: NoiseRanking) -> list[dict[str, str]]:
-    """Return a row for each pattern that holds noise of a render."""
+    """Return a row for each pattern that holds noise of a render; the first says what it means."""
+    patterns = [cause.pattern for cause in noise.causes]
     return [
         {
             "render": cause.name,
@@ -94,11 +98,13 @@ def _explanations(noise: NoiseRanking) -> list[dict[str, str]]:
             "pixels": percent(cause.pixels),
             "share": cause.share.shown(percent),
             "ratio": str(cause.ratio),
-            "null": cause.null_share.shown(percent),
+            "null": percent(0) if cause.without_nulls else cause.null_share.shown(percent),
             "least_null": percent(cause.least_null_share),
-            "meaning": Label[cause.pattern.upper()].meaning,
+            "meaning": Label[cause.pattern.upper()].meaning
+            if patterns.index(cause.pattern) == i
+            else "",
         }
-        for cause in noise.causes
+        for i, cause in enumerate(noise.causes)
     ]
 
 

@@ -375,7 +375,8 @@ def _draw_noise(
         shown = np.where(values > 0, values, np.where(np.isnan(values), np.nan, least))
         drawn = ax.imshow(shown, cmap=color_map(), norm=norm, interpolation="nearest")
         low_rank, high_rank = order.rank(name)
-        rank = f"{low_rank}" if low_rank == high_rank else f"{low_rank} to {high_rank}"
+        to = " to " if room > _NAMED else "–"
+        rank = f"{low_rank}" if low_rank == high_rank else f"{low_rank}{to}{high_rank}"
         title = f"{'noise ' * (room > _NAMED)}{number(order.noise.get(name, 0))}, rank {rank}"
         lines = ["no light" if name in found.unlit else title]
         lines += ["mean differs"] * (name in differ)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.reporting.documents import pages_of
+from chdstat.reporting.ranking_report import _ranking_document
 from chdstat.samples import Samples
 from tests.pdf import text_of
 
@@ -36,6 +39,7 @@ def test_it_says_which_is_noisier_where_and_why(renders, tmp_path):
     assert "Least noisy" in text
     assert "Most paths find no light" in text
     assert "Integrator path path guided" in text
+    assert "5.0 %; grey where" in text.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_what_it_cannot_say_is_refused(renders, tmp_path):
@@ -51,3 +55,16 @@ def test_what_it_cannot_say_is_refused(renders, tmp_path):
     with pytest.raises(InputError, match="ranked by their noise"):
         means.report(target)
     assert not target.exists()
+
+
+def test_what_a_pattern_means_is_said_once_and_parts_are_counted(renders):
+    found = chd.contrast([renders[0], renders[2], renders[2].isel(y=slice(None, None))])
+    causes, examples = found.noise.causes, found.noise.examples
+    assert [cause.pattern for cause in causes].count("null_heavy") == 2
+    content = _ranking_document(found).content
+    assert sum(row["meaning"] != "" for row in content["causes"]) == len(
+        {cause.pattern for cause in causes}
+    )
+    for count, words in enumerate(("", "one part", "two parts")):
+        noise = replace(found.noise, examples=examples[:1] * count)
+        assert words in _ranking_document(replace(found, noise=noise)).content["magnified"]
