@@ -443,7 +443,9 @@ class NoiseRanking(Tabled):
 
 
 def _worded(pattern: str) -> str:
-    return pattern.replace("_", "-")
+    # It is so in the samples that pick the pixels, and not in others.
+    seeming = pattern in ("black", "constant")
+    return f"{'seemingly ' * seeming}{pattern.replace('_', '-')}"
 
 
 def _why(causes: Sequence[NoiseCause], *, brief: bool) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,8 @@ def test_excess_noise_is_explained_by_the_pattern_that_has_it():
     assert (cause.name, cause.least, cause.pattern) == ("misses", "finds", "null_heavy")
     assert cause.share.low > 0.9
     assert cause.pixels == pytest.approx(0.5, abs=0.05)
+    assert "is in null-heavy pixels" in replace(cause, pattern="null_heavy").details
+    assert "is in seemingly black pixels" in replace(cause, pattern="black").details
     assert cause.null_share.low - 0.02 < 0.75 < cause.null_share.high + 0.02
     assert cause.least_null_share == 0
     true = (0.25 * 16 * 1.1 - 1) / 0.1

@@ -42,13 +42,13 @@ for name in others:
     if not noise.order.surely(best, name):
         reasons.append(f"by {name}, it cannot be told apart")
         continue
-    cause = max((c for c in noise.causes if c.name == name), key=lambda c: c.share.value)
+    causes = [cause for cause in noise.causes if cause.name == name]
     reasons.append(
         f"by {name}, the variance is {1 / ratio.value:.1f} times as large ({1 / ratio.high:.1f} to "
         f"{1 / ratio.low:.1f})"
     )
-    if cause.share.low > 0.5:
-        reasons[-1] += f", mostly in {cause.pattern.replace('_', '-')} pixels"
+    if most := [cause.pattern for cause in causes if cause.share.low > 0.5]:
+        reasons[-1] += f", mostly in {most[0].replace('_', '-')} pixels"
     if (best, name) in noise.order.doubtful:
         reasons[-1] += ", but only by pixels whose variance cannot be trusted yet"
 wins, spp = noise.wins(), noise.spp[best]
