@@ -90,6 +90,7 @@ class Passes:
         with self._changed:
             self._work.clear()
             self.shares.clear()
+            self.failures.clear()
             self._asked.clear()
 
     def stop(self) -> None:

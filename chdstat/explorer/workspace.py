@@ -284,10 +284,10 @@ class Workspace:
 
     def want_errors(self, who: Hashable, reference: int) -> None:
         """Let a page wait for the errors of the images against one of them."""
-        known = reference in self.errors and reference not in self.outdated
-        if len(self.sources) > 1 and self._drawn and not known:
-            work, name = self._measure(reference), f"errors {reference}"
-            self.passes.ask((who, "errors"), name, work, patient=True)
+        name, known = f"errors {reference}", reference in self.errors
+        told = (known and reference not in self.outdated) or name in self.passes.failures
+        if len(self.sources) > 1 and self._drawn and not told:
+            self.passes.ask((who, "errors"), name, self._measure(reference), patient=True)
 
     def map(self, view: View) -> Map | None:
         """Return what there is of the map of a view."""

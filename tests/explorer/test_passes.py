@@ -139,6 +139,9 @@ def test_a_store_that_grows_lets_passes_end_and_errors_stand(monkeypatch, steppe
     stepped.ends("errors 0")
     assert shared.errors[0] is not measured
     assert shared.outdated == set()
+    passes.failures["errors 1"] = "the store is gone"
+    shared.want_errors("page", 1)
+    assert passes.idle  # what failed is not tried again before the store grows
     table = errors_table(measured, "noise", "being measured")
     assert "of fewer samples: being measured anew" in errors_line(table, "noise (2)", "noise")
     assert "fewer" not in errors_line(errors_table(measured, "noise", ""), "noise (2)", "noise")
