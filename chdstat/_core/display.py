@@ -120,6 +120,18 @@ def capital(text: str) -> str:
     return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
 
 
+def listed(names: Sequence[str]) -> str:
+    """Return names as a list in a sentence.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed([])
+    ('a, b and c', '')
+    """
+    *first, last = names or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 def step_of(low: float, high: float, *, beside: Sequence[float] = ()) -> float:
     """Return the place of the last digit that an interval supports, a power of ten; 0 for all.
 

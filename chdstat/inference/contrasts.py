@@ -35,6 +35,7 @@ from chdstat._core.display import (
     Tabled,
     Width,
     colour,
+    listed,
     number,
     percent,
     png,
@@ -420,13 +421,13 @@ class Contrasts(Tabled):
             found = f"{counts[2]} of {_counted(sum(counts), 'render')} differ ({alarm})"
             return f"{found}; {counts[1]} cannot be told." if counts[1] else f"{found}."
         last = self.noise.names[-1]
-        same, unknown, _ = (_listed(names) for names in by_outcome.values())
+        same, unknown, _ = (listed(names) for names in by_outcome.values())
         parts = [f"no difference from {last} found in {same}"] if same else []
         parts += [f"for {unknown} that cannot be told"] if unknown else []
         if differ := by_outcome["differ"]:
             each = [f"{name} ({self._how_bright(name)})" for name in differ]
-            parts.append(f"{_listed(each)} differ{'s' * (len(each) == 1)} from {last}")
-        darker = _listed(self._darker_and_less_noisy())
+            parts.append(f"{listed(each)} differ{'s' * (len(each) == 1)} from {last}")
+        darker = listed(self._darker_and_less_noisy())
         less = f" A render that lacks light also has less noise: perhaps {darker}." * bool(darker)
         return f"Means: {'; '.join(reversed(parts))} ({alarm}).{less}"
 
@@ -519,18 +520,6 @@ class Contrasts(Tabled):
         means = self.means.removeprefix("Means: ").partition(". ")[0]
         facts = {"means": means, **self.noise.facts(brief=True)}
         return Card("Contrasts", facts, self.noise.in_words())
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as a list in a sentence.
-
-    Examples
-    --------
-    >>> _listed(["a", "b", "c"]), _listed([])
-    ('a, b and c', '')
-    """
-    *first, last = names or [""]
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 class _Options(TypedDict, total=False):

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from chdstat._core.display import about, capital, percent, with_interval
+from chdstat._core.display import about, capital, listed, percent, with_interval
 from chdstat._core.resampling import Interval, mean_of
 from chdstat.analysis import NoiseShares, Overview, noise_intervals
 from chdstat.comparison import Comparison
@@ -327,7 +327,7 @@ def where_it_harms(comparison: Comparison, pixels: int, noise: NoiseShares) -> I
         if own is not None and effect_of(own, "relmse_ratio") == "higher":
             worse[label] = _harm_in_words(own, rows)
     if worse:
-        where = _listed([pixels_of(label) for label in worse])
+        where = listed([pixels_of(label) for label in worse])
         evidence = "; ".join(f"in {pixels_of(label)} it is {said}" for label, said in worse.items())
         yield (
             f"The default estimate raises the relative error in {where}.",
@@ -344,12 +344,6 @@ def _harm_in_words(own: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) ->
     if best is None:
         return f"{said}, and no estimator compared here is surely better than the mean"
     return f"{said}, that of {called(best['estimator'])} {ratio_in_words(best, 'relmse_ratio')}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
