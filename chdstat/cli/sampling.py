@@ -45,6 +45,7 @@ def render(
     direct: bool = False,
     light: list[str] | None = None,
     by_depth: int | None = None,
+    film: bool = False,
     adaptive: bool = False,
     percentile: float | None = None,
     time: float | None = None,
@@ -67,6 +68,8 @@ def render(
         lights. Can be repeated.
     by_depth : SEGMENTS
         Also store the light of each sample by the length of its path, up to this.
+    film : bool
+        Also store where in its pixel each sample fell.
     adaptive : bool
         Draw samples where they are needed. --spp is their mean number; a quarter of them measures
         how noisy the image is. --error does so, too, with --spp as the most.
@@ -87,10 +90,10 @@ def render(
     described = asked.scene(scene)
     if summary_only:
         decided = asked.error, percentile, time
-        if direct or by_depth or light or adaptive or decided != (None, None, None):
+        if direct or by_depth or light or film or adaptive or decided != (None, None, None):
             message = (
-                "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive, "
-                "--error and --time need"
+                "--summary-only keeps no samples, which --direct, --by-depth, --light, --film, "
+                "--adaptive, --error and --time need"
             )
             raise InputError(message)
         asked.target(out)
@@ -110,6 +113,7 @@ def render(
             direct=direct,
             by_depth=by_depth,
             by_light=light or (),
+            film=film,
             adaptive=adaptive,
             error=asked.error,
             percentile=percentile,
@@ -358,6 +362,7 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
         "direct light of {} samples": found["direct_spp"],
         "light by length of path, up to {} segments": has_depths and max(map(int, found["depths"])),
         "light from {} alone": ", ".join(found["lights"]),
+        "where {} samples fell": found["film_spp"],
     }
     stored = [text.format(value) for text, value in also.items() if value]
     numbers = {}

@@ -23,6 +23,7 @@ from chdstat.patterns.classification import (
     classify,
 )
 from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
+from chdstat.patterns.film_split import FilmSplit, film_split
 from chdstat.patterns.pixel import Pixel, Regions
 from chdstat.patterns.simulation import CHD, CHDS, Component, simulate
 
@@ -33,6 +34,7 @@ __all__ = [
     "Agreement",
     "Atlas",
     "Component",
+    "FilmSplit",
     "Label",
     "Pattern",
     "Patterns",
@@ -44,6 +46,7 @@ __all__ = [
     "attribute",
     "choose_regions",
     "classify",
+    "film_split",
     "simulate",
 ]
 

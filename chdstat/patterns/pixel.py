@@ -40,7 +40,7 @@ from chdstat.patterns.classification import (
 from chdstat.patterns.definitions import PATTERNS, Thresholds, largest_misfit
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import LightPart
+from chdstat.samples.tiles import FILM, LightPart
 from chdstat.summary.histograms import Histogram, Scale, drawn_histograms, histogram
 from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
@@ -390,7 +390,7 @@ class Pixel(Shown):
 
     def _shares(self, by: By) -> list[dict[str, str | float]]:
         kind = int if by == "depth" else str
-        known = {which: part for which, part in self.parts.items() if isinstance(which, kind)}
+        known = {n: p for n, p in self.parts.items() if isinstance(n, kind) and n != FILM}
         if not known or len(self.channels) not in (1, 3):
             return []
         spp = min(part.shape[-1] for part in known.values())

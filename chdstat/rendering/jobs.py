@@ -243,6 +243,8 @@ class Job:
         Plugins that the scene may name.
     guide
         Guide of the directions; None without one, or if it is still to be trained.
+    film
+        Whether to draw where in its pixel each sample falls, instead of its light.
     """
 
     scene: Scene
@@ -251,6 +253,7 @@ class Job:
     light: str | None = None
     plugins: tuple[Plugin, ...] = field(default_factory=loaded)
     guide: Guide | None = None
+    film: bool = False
 
     @classmethod
     def of(cls, scene: SceneLike, **options: Unpack[RenderSettings]) -> Job:

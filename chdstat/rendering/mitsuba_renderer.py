@@ -118,6 +118,11 @@ class MitsubaRenderer:
                     self._pixel_scalar(0, 0, 0, 1)
 
     @property
+    def channels(self) -> int:
+        """Numbers that are drawn for each sample: its light, or its place in its pixel."""
+        return 2 if self.job.film else 3
+
+    @property
     def identity(self) -> dict[str, Any]:
         """Attributes that identify the scene, as stores keep them."""
         return {
@@ -163,9 +168,13 @@ class MitsubaRenderer:
         """
         if chunk.missing is not None and not chunk.missing.any():
             height, width, samples = chunk.shape
-            return np.full((height, width, 3, samples), np.nan, np.float32)
+            return np.full((height, width, self.channels, samples), np.nan, np.float32)
         with self._telling():
             block = self._drawn(chunk, before_pass)
+        if self.job.film:
+            from chdstat.rendering.film_places import in_steps
+
+            block = in_steps(block)
         if chunk.missing is not None:
             block = np.where(chunk.missing[:, :, np.newaxis], block, np.float32(np.nan))
         if self.job.light is None:
@@ -348,8 +357,6 @@ class MitsubaRenderer:
     def _integrator(self) -> Any:
         """The integrator of the calling thread; it keeps state while it renders."""
         if not hasattr(self._local, "integrator"):
-            from chdstat.rendering.rays import BLOCK
-
             described = self._asked.integrator.branch(0)
             check_variant(described)
             made = described.make() if self._built is None else self._built
@@ -361,6 +368,8 @@ class MitsubaRenderer:
                 )
                 raise RenderError(message)
             if self._built is None:
+                from chdstat.rendering.rays import BLOCK
+
                 described.node(0).props["block_size"] = BLOCK
                 made = described.make()
             self._local.integrator = made
@@ -409,7 +418,7 @@ class MitsubaRenderer:
         sampler = self._sampler()
         sample = self._sampling_scalar(sampler)
         height, width, _ = chunk.shape
-        block = np.empty((height, width, 3, samples), np.float32)
+        block = np.empty((height, width, self.channels, samples), np.float32)
         ends = np.full((height, width), samples)
         if chunk.missing is not None:  # the numbers of a sample go on from those of the one before
             ends = (chunk.missing * np.arange(1, samples + 1)).max(axis=-1)
@@ -426,16 +435,22 @@ class MitsubaRenderer:
 
     def _chunk_scalar(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         height, width, samples = chunk.shape
-        sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
+        corner, extent = (chunk.xs.start, chunk.ys.start), (width, height)
+        scene, sensor, integrator = self._scene, self._sensor(corner, extent), self._integrator
+        if self.job.film:
+            from chdstat.rendering import film_places
+
+            scene, sensor, integrator = film_places.square(self._mi, extent)
         block = np.empty((samples, height, width, 3), np.float32)
-        integrator = self._integrator
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
             seed = self._streams.of_pass(chunk, sample)
             before_pass()
-            block[i] = integrator.render(self._scene, sensor, seed=seed, spp=1)
+            drawn = np.asarray(integrator.render(scene, sensor, seed=seed, spp=1))
+            block[i] = drawn[..., -3:]  # after what else an integrator of positions renders
             if integrator.should_stop():
                 raise Interrupted
-        return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
+        samples_last = np.ascontiguousarray(block.transpose(1, 2, 3, 0))
+        return film_places.of_square(samples_last) if self.job.film else samples_last
 
     def _pixel_scalar(self, number: int, y: int, x: int, count: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})
@@ -453,7 +468,8 @@ class MitsubaRenderer:
         def sample(x: int, y: int) -> Any:
             dx, dy = sampler.next_2d()
             position = mi.Point2f((x + dx) / width, (y + dy) / height)
-            return drawn(mi, position, objects)
+            light = drawn(mi, position, objects)  # also advances the sampler to the next sample
+            return (dx, dy) if self.job.film else light
 
         return sample
 
@@ -487,10 +503,15 @@ class MitsubaRenderer:
             padded[..., :samples] = missing
             by_lane = padded.reshape(height, width, runs, run).transpose(2, 0, 1, 3).ravel()
             active.append(self._mi.Bool(np.ascontiguousarray(by_lane)))
-        colors = np.asarray(self._launch(*opaque, lanes, *active), dtype=np.float32)
-        colors = np.broadcast_to(colors, (3, lanes))  # of one value for all lanes, there is one
-        block = colors.reshape(3, runs, height, width, run).transpose(2, 3, 0, 1, 4)
-        return np.ascontiguousarray(block.reshape(height, width, 3, -1)[..., :samples])
+        found, channels = (
+            np.asarray(self._launch(*opaque, lanes, *active), np.float32),
+            self.channels,
+        )
+        found = np.broadcast_to(
+            found, (channels, lanes)
+        )  # of one value for all lanes, there is one
+        block = found.reshape(channels, runs, height, width, run).transpose(2, 3, 0, 1, 4)
+        return np.ascontiguousarray(block.reshape(height, width, channels, -1)[..., :samples])
 
     @property
     def _run(self) -> int:
@@ -509,7 +530,8 @@ class MitsubaRenderer:
             from chdstat.rendering.rays import wavefront
 
             sensor, sampler = self._sensor((0, 0), self.size), self._sampler()
-            held = [self._scene, sensor, self._integrator, sampler, self._sensor_medium]
+            integrator = None if self.job.film else self._integrator
+            held = [self._scene, sensor, integrator, sampler, self._sensor_medium]
             mi, size, run = self._mi, self.size, self._run
 
             def kernel(*inputs: Any) -> Any:

@@ -55,7 +55,7 @@ def wavefront(
     Parameters
     ----------
     objects
-        As for `drawn`.
+        As for `drawn`; without an integrator, only where in its pixel each sample falls is drawn.
     size
         (width, height) of the image.
     run
@@ -70,9 +70,12 @@ def wavefront(
     scene, sensor, integrator, source, medium = objects
     sampler = source.clone()
     sampler.seed(number, lanes)
+    place = sampler.next_2d()
+    if integrator is None:
+        return place
     index = dr.arange(mi.UInt32, lanes) // run % pixels
     pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
-    position = (pixel + sampler.next_2d()) / mi.Point2f(*map(float, size))
+    position = (pixel + place) / mi.Point2f(*map(float, size))
     return drawn(mi, position, (scene, sensor, integrator, sampler, medium), active)
 
 

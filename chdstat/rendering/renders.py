@@ -37,7 +37,7 @@ from chdstat.samples.layout import check_same, part_folder
 from chdstat.samples.ledger import counts_of
 from chdstat.samples.memory_writer import MemoryWriter
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, FILM, Chunk, LightPart, Work, chunk_grid
 from chdstat.scenes import Scene, SceneLike, load_scene
 from chdstat.scenes.scene import MITSUBA, LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -57,6 +57,7 @@ def render(
     direct: bool = False,
     by_depth: int | None = None,
     by_light: Sequence[str] = (),
+    film: bool = False,
     adaptive: bool | ErrorMeasure = False,
     error: float | None = None,
     percentile: float | None = None,
@@ -122,6 +123,10 @@ def render(
         Also render every sample with some lights only: `Samples.lights`. Each entry is the name of
         a light (of its shape, in most scenes), or a pattern such as ``"lamp-*"`` for a group of
         lights. `chdstat.patterns.attribute` returns their shares, too.
+    film
+        Also keep where in its pixel each sample fell: `Samples.film`. `chdstat.patterns.film_split`
+        tells from it how much of the variance is between places in the pixel. An `out` with it
+        continues with it.
     adaptive
         Draw samples where they are needed. Every pixel gets some first (a quarter of `spp`, or 32
         but at most half). The others are drawn where the first ones of other pixels tell that the
@@ -180,6 +185,11 @@ def render(
         decided = {"by_depth": by_depth, "error": error, "percentile": percentile}
         asked = {**settings, **decided, "adaptive": adaptive or None}
         parts: Any = {"direct": direct, "by_light": by_light}
+        if film:
+            message = (
+                f"{loaded.renderer} does not say where in a pixel its samples fall; leave out film"
+            )
+            raise InputError(message)
         working: Any = {"seconds": seconds, "client": client, "progress": progress}
         return _recorded(loaded, asked, parts, out, **working)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
@@ -188,7 +198,8 @@ def render(
     existing = Store.open(place) if place and is_store(out) else None
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
-        depths |= {part for part in held if isinstance(part, int)}
+        depths |= {part for part in held if isinstance(part, int) and part != FILM}
+        film = film or FILM in held
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         settings = _as_stored(settings, existing)
     how, decided_by = None, existing.adaptive if existing else None
@@ -215,15 +226,15 @@ def render(
     if client is not None:
         _check_portable(job)
     check_seconds(seconds)
-    if seconds is not None and (depths or by_light or how):
+    if seconds is not None and (depths or by_light or film or how):
         message = (
-            "seconds= is for samples alone: direct=, by_depth= and by_light= draw them again, and "
+            "seconds= is for samples alone: direct=, by_depth=, by_light= and film= draw again, and "
             "an adaptive render decides from all that it draws; leave one of them out"
         )
         raise InputError(message)
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
-        return _captured(job, depths, by_light, how, place, work, seconds)
+        return _captured(job, depths, by_light, film, how, place, work, seconds)
 
 
 _OF_ANY = ("spp", "size", "seed", "max_depth", "crop")
@@ -257,6 +268,7 @@ def _captured(
     job: Job,
     depths: Collection[int],
     lights: Sequence[str],
+    film: bool,
     how: Adaptive | None,
     out: Path | None,
     work: Work,
@@ -266,7 +278,8 @@ def _captured(
     spp = job.options["spp"]
     renderer = checked_renderer(job, kept=spp * (1 + len(depths) + len(lights)), out=out)
     renderer.check_lights(lights)
-    partial = _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
+    partial: dict[LightPart, Job] = {FILM: replace(renderer.job, film=True)} if film else {}
+    partial |= _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
     with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
         is_less = spp < writer.attrs["spp"] and (how is None or how.error is None)
         if is_less and not writer.ledger.pending():
@@ -599,7 +612,7 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
     """Yield the keeper of samples: a store, which may exist already, or memory."""
     attrs = renderer.provenance | ({} if how is None else {"adaptive": how.attrs})
     width, height = renderer.size
-    shape = height, width, 3, _first_spp(attrs)
+    shape = height, width, renderer.channels, _first_spp(attrs)
     if out is None:
         yield MemoryWriter(shape, attrs)
         return

@@ -10,6 +10,7 @@ The group::
                         from which these follow: what lies beyond them in radiance is NaN
     direct/             a store of its own: emission and direct light of the same samples
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
+    film/               likewise where in its pixel each sample fell, (y, x, 2, sample)
     .lock               while a process writes
 
 A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, which is always replaced
@@ -56,7 +57,7 @@ from chdstat._core.files import (
     tail,
 )
 from chdstat.errors import StoreError
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, FILM, TILE, Chunk, LightPart
 
 BLOCK = 16
 """Edge in pixels of the blocks that are compressed separately within a chunk."""
@@ -79,7 +80,7 @@ FOREIGN = (
     ValueError,
 )
 """Errors that damaged bytes may raise in the libraries that read them."""
-_DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
+_FILM, _DIRECT, _DEPTH, _LIGHT = "film", "direct", "depth-", "light-"
 _GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others identify the store."""
 _LABEL = struct.Struct("<8s8s4IQII")
@@ -122,14 +123,15 @@ def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
 def part_folder(part: LightPart) -> str:
     """Return the folder of a part of the light, within its store."""
     if isinstance(part, int):
-        return _DIRECT if part == DIRECT_DEPTH else f"{_DEPTH}{part}"
+        return {FILM: _FILM, DIRECT_DEPTH: _DIRECT}.get(part, f"{_DEPTH}{part}")
     plain, digest = re.sub(r"[^\w-]+", "_", part)[:32], hashlib.sha256(part.encode()).hexdigest()
     return f"{_LIGHT}{plain}-{digest[:8]}"
 
 
 def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[LightPart]:
     """Return the parts that a store has, or should have by its manifest, depths first."""
-    depths = {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
+    depths = {FILM} if manifest.get("film") or is_store(path / _FILM) else set()
+    depths |= {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
     for folder in path.glob(f"{_DEPTH}*"):
         number = folder.name.removeprefix(_DEPTH)
         depths |= {int(number)} if number.isdecimal() and is_store(folder) else set()
@@ -144,8 +146,8 @@ def with_parts(manifest: Mapping[str, Any], parts: Iterable[LightPart]) -> dict[
     """Return a manifest that also lists parts."""
     made = dict(manifest)
     for part in parts:
-        if part == DIRECT_DEPTH:
-            made["direct"] = True
+        if part in (FILM, DIRECT_DEPTH):
+            made["film" if part == FILM else "direct"] = True
         else:
             kind = "depths" if isinstance(part, int) else "lights"
             made[kind] = sorted({*made.get(kind, []), part})

@@ -51,7 +51,7 @@ from chdstat.samples.dependence import (
     warn_of_repeats,
 )
 from chdstat.samples.ledger import PixelCounts
-from chdstat.samples.tiles import ALL, DIRECT_DEPTH, Chunk, LightPart, SampleSource, Work
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart, SampleSource, Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -251,11 +251,19 @@ class Samples:
 
         `chdstat.patterns.attribute` returns how much light comes from which depth.
         """
-        return {which: part for which, part in self._parts.items() if isinstance(which, int)}
+        return {n: part for n, part in self._parts.items() if isinstance(n, int) and n != FILM}
+
+    @property
+    def film(self) -> Samples | None:
+        """Where in its pixel each sample fell, (y, x, 2, sample); None if unknown.
+
+        The two numbers go from 0 to 1, across and down, in steps of 1/64.
+        """
+        return self._parts.get(FILM)
 
     @property
     def parts(self) -> dict[LightPart, Samples]:
-        """The same samples with a part of their light: those of `depths` and of `lights`."""
+        """Parts of the same samples: those of `depths` and of `lights`, and `film`."""
         return dict(self._parts)
 
     @property

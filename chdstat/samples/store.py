@@ -49,7 +49,7 @@ from chdstat.samples.dependence import (
 from chdstat.samples.layout import FOREIGN, DamageError, is_store
 from chdstat.samples.ledger import Ledger, PixelCounts, counts_of
 from chdstat.samples.samples import ImageLike, Samples
-from chdstat.samples.tiles import ALL, DIRECT_DEPTH, Chunk, LightPart
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart
 
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes that decide whether the samples of two stores share random numbers."""
@@ -283,7 +283,7 @@ class Store:
             detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in names)
             message = (
                 f"{path} is not of the same samples as {self.path} ({detail}); move it away, and "
-                "render it with: chdstat render --direct, --by-depth or --light"
+                "render it with: chdstat render --direct, --by-depth, --light or --film"
             )
             raise StoreError(message)
         return part
@@ -295,7 +295,7 @@ class Store:
         integrator = attrs.get("integrator") or {}
         equal = {name: attrs.get(name) for name in _SAME}
         equal["integrator"] = {k: v for k, v in integrator.items() if k != "max_depth"}
-        return {"shape": self.shape[:3], **equal}
+        return {"shape": self.shape[:2], **equal}
 
     # --- reading --------------------------------------------------------------------------------
 
@@ -710,7 +710,12 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "complete_spp": store.ledger.complete_spp,
         "pending_chunks": len(store.pending()),
         "direct_spp": parts[DIRECT_DEPTH].ledger.complete_spp if DIRECT_DEPTH in parts else 0,
-        "depths": {str(k): p.ledger.complete_spp for k, p in parts.items() if isinstance(k, int)},
+        "depths": {
+            str(k): p.ledger.complete_spp
+            for k, p in parts.items()
+            if isinstance(k, int) and k != FILM
+        },
+        "film_spp": parts[FILM].ledger.complete_spp if FILM in parts else 0,
         "lights": {k: p.ledger.complete_spp for k, p in parts.items() if isinstance(k, str)},
         "features": store.feature_names,
         "counts": None if counts is None else [int(counts.min()), int(counts.max())],

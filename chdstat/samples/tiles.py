@@ -37,8 +37,11 @@ _AT_ONCE = 3 * 2**20
 """Most bytes of samples that statistics take at once, as their work holds many times as much."""
 ALL = slice(None)
 
+FILM = 0
+"""The part of a sample before its path begins: where it fell in its pixel."""
+
 LightPart = int | str
-"""A part of the light of samples: paths of up to this many segments, or lights of this name."""
+"""A part of samples: paths of up to this many segments, lights of this name, or `FILM`."""
 SampleBlocks = Iterator[Image]
 """Samples of a tile, batch by batch, each (y, x, channel, sample)."""
 
