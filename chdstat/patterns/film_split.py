@@ -132,8 +132,13 @@ def film_split(
         }
         return {**maps, "reason": ((), reason)}
 
-    told = {"description": "splitting the variance", "progress": progress}
-    split = over_tiles(image, of_tile, tiles(image.shape), **told)
+    split = over_tiles(
+        image,
+        of_tile,
+        tiles(image.shape),
+        description="splitting the variance",
+        progress=progress,
+    )
     return label_variables(split, _SAID).assign_attrs(cells=k)
 
 

@@ -142,8 +142,7 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[MitsubaRenderer]:
     """
     options = job.options | {"spp": 1}  # any number of samples takes the same renderer
     parts = identity["scene_hash"], identity["scene_code"], options, job.backend, job.light
-    parts = (*parts, job.film)
-    key = (str(parts), job.plugins, job.guide and job.guide.digest)
+    key = (str(parts), job.film, job.plugins, job.guide and job.guide.digest)
     with activate(job.backend), _REMOTE_LOCK:
         if key not in _REMOTE:
             _REMOTE.clear()
