@@ -23,7 +23,7 @@ from chdstat.patterns.classification import (
     classify,
 )
 from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
-from chdstat.patterns.film_split import FilmSplit, film_split
+from chdstat.patterns.film_splits import FilmSplit, film_split
 from chdstat.patterns.pixel import Pixel, Regions
 from chdstat.patterns.simulation import CHD, CHDS, Component, simulate
 

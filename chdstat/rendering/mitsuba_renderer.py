@@ -503,13 +503,9 @@ class MitsubaRenderer:
             padded[..., :samples] = missing
             by_lane = padded.reshape(height, width, runs, run).transpose(2, 0, 1, 3).ravel()
             active.append(self._mi.Bool(np.ascontiguousarray(by_lane)))
-        found, channels = (
-            np.asarray(self._launch(*opaque, lanes, *active), np.float32),
-            self.channels,
-        )
-        found = np.broadcast_to(
-            found, (channels, lanes)
-        )  # of one value for all lanes, there is one
+        found, channels = self._launch(*opaque, lanes, *active), self.channels
+        found = np.asarray(found, dtype=np.float32)
+        found = np.broadcast_to(found, (channels, lanes))  # of one value for all, there is one
         block = found.reshape(channels, runs, height, width, run).transpose(2, 3, 0, 1, 4)
         return np.ascontiguousarray(block.reshape(height, width, channels, -1)[..., :samples])
 

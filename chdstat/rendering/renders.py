@@ -228,8 +228,8 @@ def render(
     check_seconds(seconds)
     if seconds is not None and (depths or by_light or film or how):
         message = (
-            "seconds= is for samples alone: direct=, by_depth=, by_light= and film= draw again, and "
-            "an adaptive render decides from all that it draws; leave one of them out"
+            "seconds= is for samples alone: direct=, by_depth=, by_light= and film= draw them "
+            "again, and an adaptive render decides from all that it draws; leave one of them out"
         )
         raise InputError(message)
     work: Work = {"client": client, "progress": progress}

@@ -10,7 +10,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.patterns import film_split
-from chdstat.patterns.film_split import split_by_place
+from chdstat.patterns.film_splits import split_by_place
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
 from tests.stops import stopped

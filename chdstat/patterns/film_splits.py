@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, first_of, is_bad, label_variables, luminance
-from chdstat.errors import InputError, Reason, check_option
+from chdstat.errors import InputError, Reason
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of
 from chdstat.samples.assembly import over_tiles
 from chdstat.samples.tiles import tiles
@@ -57,7 +57,7 @@ class FilmSplit(NamedTuple):
 
 
 def film_split(
-    samples: ImageLike, *, cells: int | None = None, progress: bool | None = None
+    samples: ImageLike, *, cells: int | None = None, progress: bool = True
 ) -> xr.Dataset:
     """Split the variance of each pixel's luminance by the places where its samples fell.
 
@@ -69,7 +69,7 @@ def film_split(
         Cells k along each edge of the pixel: 2, 4, 8 or 16; None for as many as hold 12 samples
         each.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------
@@ -100,8 +100,10 @@ def film_split(
     if image.film is None:
         message = "these samples do not say where they fell; render them with film=True (--film)"
         raise InputError(message)
-    k = cells_for(image.film.spp) if cells is None else cells
-    check_option("cells", k, _CELLS)
+    k = _cells_for(image.film.spp) if cells is None else cells
+    if k not in _CELLS:
+        message = f"cells must be one of {', '.join(map(str, _CELLS))}, got {cells!r}"
+        raise InputError(message)
     if image.film.spp < 2 * k * k:
         message = f"expected at least {2 * k * k} samples for {k} x {k} cells, got {image.film.spp}"
         raise InputError(message)
@@ -142,12 +144,12 @@ def film_split(
     return label_variables(split, _SAID).assign_attrs(cells=k)
 
 
-def cells_for(spp: int) -> int:
+def _cells_for(spp: int) -> int:
     """Return the cells along each edge of a pixel that so many samples tell apart.
 
     Examples
     --------
-    >>> [cells_for(spp) for spp in (8, 64, 256, 1024, 100_000)]
+    >>> [_cells_for(spp) for spp in (8, 64, 256, 1024, 100_000)]
     [2, 2, 4, 8, 16]
     """
     return max((k for k in _CELLS if k * k * _IN_A_CELL <= spp), default=_CELLS[0])
