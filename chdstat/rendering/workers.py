@@ -8,6 +8,7 @@ import itertools
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.arrays import Image
@@ -64,8 +65,9 @@ def _samples_of(
     renderer: MitsubaRenderer, group: Group, **options: Any
 ) -> list[tuple[Chunk, Image]]:
     """Return the samples of chunks that are drawn together."""
-    whole, parts = group
+    whole, (one, *others) = group
     block, first = renderer.chunk(whole, **options), whole.ss.start
+    parts = [replace(one, costs=renderer.costs), *others]
     return [(c, block[..., c.ss.start - first : c.ss.stop - first]) for c in parts]
 
 

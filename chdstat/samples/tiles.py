@@ -25,6 +25,8 @@ from chdstat.errors import InputError
 if TYPE_CHECKING:
     from distributed import Client
 
+    from chdstat.samples.costs import SampleCosts
+
 TILE, BATCH = 64, 64
 """Edge in pixels and number of samples of a chunk, the unit of drawing, keeping and reading."""
 DIRECT_DEPTH = 2
@@ -136,7 +138,8 @@ def _covered(low: float, high: float, length: int) -> slice:
 class Chunk:
     """One unit of rendering and storage: a tile of pixels times a batch of samples.
 
-    `missing`, shape (y, x, sample), marks the samples to be drawn, if they are not all.
+    `missing`, shape (y, x, sample), marks the samples to be drawn, if they are not all. `costs` is
+    what they took, once they are drawn and if they were timed.
     """
 
     batch: int
@@ -146,6 +149,7 @@ class Chunk:
     xs: slice
     ss: slice
     missing: npt.NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
+    costs: SampleCosts | None = field(default=None, compare=False, repr=False)
 
     @property
     def index(self) -> tuple[int, int, int]:
