@@ -139,7 +139,8 @@ def analyze(
         ======================  ==========================================================
 
         All other statistics that maps or the tables of a pixel show follow, under their own names.
-        ``luminance_mean`` and ``coefficient_of_variation`` (y, x) describe luminance. `atlas`,
+        ``luminance_mean`` and ``coefficient_of_variation`` (y, x) describe luminance,
+        ``sample_seconds`` and ``sample_seconds_error`` what a sample takes, if known. `atlas`,
         which looks at the image as a whole, is not included.
 
     Raises
@@ -260,6 +261,8 @@ def _measured(
         combine_attrs="drop_conflicts",
         join="override",
     )
+    if samples.costs is not None:
+        merged = merged.assign(samples.costs.variables())
     for name in ("skewness", "kurtosis") if "averages" in statistics else ():
         merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(summary.attrs)

@@ -46,6 +46,7 @@ def render(
     light: list[str] | None = None,
     by_depth: int | None = None,
     film: bool = False,
+    cost: bool = False,
     adaptive: bool = False,
     percentile: float | None = None,
     time: float | None = None,
@@ -70,6 +71,8 @@ def render(
         Also store the light of each sample by the length of its path, up to this.
     film : bool
         Also store where in its pixel each sample fell.
+    cost : bool
+        Also store how long samples of each pixel take, with --backend scalar.
     adaptive : bool
         Draw samples where they are needed. --spp is their mean number; a quarter of them measures
         how noisy the image is. --error does so, too, with --spp as the most.
@@ -90,10 +93,11 @@ def render(
     described = asked.scene(scene)
     if summary_only:
         decided = asked.error, percentile, time
-        if direct or by_depth or light or film or adaptive or decided != (None, None, None):
+        of_samples = direct, by_depth, light, film, cost, adaptive
+        if any(of_samples) or decided != (None, None, None):
             message = (
                 "--summary-only keeps no samples, which --direct, --by-depth, --light, --film, "
-                "--adaptive, --error and --time need"
+                "--cost, --adaptive, --error and --time need"
             )
             raise InputError(message)
         asked.target(out)
@@ -114,6 +118,7 @@ def render(
             by_depth=by_depth,
             by_light=light or (),
             film=film,
+            cost=cost,
             adaptive=adaptive,
             error=asked.error,
             percentile=percentile,
@@ -363,6 +368,7 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
         "light by length of path, up to {} segments": has_depths and max(map(int, found["depths"])),
         "light from {} alone": ", ".join(found["lights"]),
         "where {} samples fell": found["film_spp"],
+        "what samples take": found["costs"],
     }
     stored = [text.format(value) for text, value in also.items() if value]
     numbers = {}

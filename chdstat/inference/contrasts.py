@@ -88,6 +88,8 @@ _OUTCOMES = ("no difference found", "cannot tell", "differ")
 """From the best to the worst."""
 _LOOKS = (0.25, 0.5, 1.0)
 """Shares of the samples at which a render that is drawn is looked at."""
+_TIMED = {"": "", "clock": "", "pixels": ", by the measured time of samples"}
+"""What is said of the times behind an efficiency."""
 _STANDARD_ERRORS = 4
 """Difference that is surely found, in standard errors."""
 
@@ -137,6 +139,10 @@ class Contrast(Shown):
     efficiency_ratio
         1 / (relative variance x time) of B over that of A, with its 95 % interval. NaN if a time is
         unknown, or A or B has no variance.
+    timed
+        What times are of: "pixels", if both renders know what the samples of each pixel take;
+        ``efficiency`` is then that of each pixel, with its own time. Else "clock", the time of the
+        whole render, or "" if it is unknown.
     spp
         Samples per pixel of A and B that were contrasted; None if that of an image is unknown.
     spp_range
@@ -170,6 +176,7 @@ class Contrast(Shown):
     window_loss: float
     detectable: dict[str, float]
     efficiency_ratio: Interval[float]
+    timed: Literal["", "clock", "pixels"]
     spp: tuple[int, int | None]
     spp_range: tuple[str, str]
     reference: Literal["", "exact", "spp", "variance", "batches"]
@@ -302,6 +309,7 @@ class Contrast(Shown):
             "share_of_pixels": self.share,
             "loss": self.loss.to_dict(),
             "efficiency_ratio": self.efficiency_ratio.to_dict(),
+            "timed": self.timed,
             "window": {"y": y, "x": x, "height": height, "width": width},
             "window_channel": self.window_channel,
             "window_loss": self.window_loss,
@@ -342,7 +350,7 @@ class Contrast(Shown):
             "A": f"{self.names[0]}, {counts[0]} spp",
             "B": f"{self.names[1]}, {of_b[self.reference]}",
             "B − A over A": with_interval(*ends, partial(percent, sign=True)),
-            "efficiency of B over A": str(self.efficiency_ratio),
+            "efficiency of B over A": f"{self.efficiency_ratio}{_TIMED[self.timed]}",
         }
         if all(self.scenes) and self.scenes[0] != self.scenes[1]:
             found["scenes"] = f"{self.scenes[0]} and {self.scenes[1]}"
@@ -836,6 +844,7 @@ def contrasting(
         window_loss=window_loss,
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
+        timed="pixels" if pair.costs else "clock" if np.isfinite(pair.seconds).all() else "",
         spp=pair.counts,
         spp_range=pair.spp_range,
         reference=pair.b.known if isinstance(pair.b, Reference) else "",
@@ -1048,7 +1057,8 @@ _LABELS: dict[str, str | tuple[str, str]] = {
 def _dataset(maps: dict[str, Array], pair: Pair) -> xr.Dataset:
     import xarray as xr
 
-    cost_a, cost_b = maps["variance_a"] * pair.seconds[0], maps["variance_b"] * pair.seconds[1]
+    times = pair.costs or pair.seconds
+    cost_a, cost_b = maps["variance_a"] * times[0], maps["variance_b"] * times[1]
     efficiency = cost_a / cost_b
     efficiency = np.where(np.isfinite(efficiency), efficiency, np.nan)
     maps = {**maps, "difference": maps["mean_b"] - maps["mean_a"], "efficiency": efficiency}

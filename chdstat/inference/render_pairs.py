@@ -47,6 +47,7 @@ from chdstat.inference.references import SINGLE, Reference
 from chdstat.inference.windows import FEWEST_FLIPS, Cells, FlipMoments, guarded
 from chdstat.samples import Samples, samples_of
 from chdstat.samples.dependence import sequence_of
+from chdstat.samples.ledger import PixelCounts
 
 _NEAR = 11
 """Edge of the neighbourhood that shows how bright the samples of a pixel may be, in pixels."""
@@ -156,7 +157,10 @@ class Pair:
     spp
         Samples of each that are compared; those of A twice if B is a reference.
     seconds
-        Rendering time of one sample in every pixel, for each; NaN if it is unknown.
+        Rendering time of one sample in every pixel, for each; NaN if it is unknown. If both know
+        what samples of single pixels take, it is the sum of that, else the time on the clock.
+    costs
+        Time of a sample of each pixel, (y, x), for each; None if one of them does not know it.
     paired
         Whether the renders share random numbers.
     scenes
@@ -170,6 +174,7 @@ class Pair:
     seconds: tuple[float, float]
     paired: bool
     scenes: tuple[str, str] = ("", "")
+    costs: tuple[Floats, Floats] | None = None
 
     @classmethod
     def of(cls, one: Any, two: Any, seconds: float | None) -> Pair:
@@ -231,6 +236,10 @@ class Pair:
         if paired and seconds is None:
             counts = [min(counts)] * 2
         each = [time / _averaged(x) for time, x in zip(times, renders, strict=True)]
+        maps = [x.costs.seconds for x in renders if x.costs is not None]
+        costs = (maps[0], maps[1]) if len(maps) == 2 else None
+        if costs is not None:
+            each = [_in_every_pixel(own, x.counts) for own, x in zip(costs, renders, strict=True)]
         return cls(
             a,
             b,
@@ -239,6 +248,7 @@ class Pair:
             (each[0], each[1] if len(each) > 1 else np.nan),
             paired,
             _scenes(a, b),
+            costs,
         )
 
     @property
@@ -701,6 +711,16 @@ def _scenes(a: Samples, b: Samples | Reference) -> tuple[str, str]:
 def _averaged(samples: Samples | Reference) -> int:
     """Return how many samples each value is the average of."""
     return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
+
+
+def _in_every_pixel(seconds: Floats, counts: PixelCounts) -> float:
+    """Return the time of one sample in every pixel, or of as many as are drawn in an average one.
+
+    Pixels of unknown times count like the others.
+    """
+    known = np.isfinite(seconds)
+    share = counts[known] / counts[known].sum() if known.any() else np.nan
+    return float((seconds[known] * share).sum() * seconds.size) if known.any() else np.nan
 
 
 def _name(source: Any, samples: Samples) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, is_bad, is_null, luminance, take_rows
-from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
+from chdstat._core.display import Card, Shown, Width, duration, number, percent, with_interval
 from chdstat._core.doors import draw, pixel_of, regions_of
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
@@ -82,6 +82,9 @@ class Pixel(Shown):
         Most samples that fits, tests and modes look at; None for all.
     attrs
         Provenance of the image; cures are in the words of its renderer.
+    seconds, over_median
+        What a sample takes, as value and standard error in seconds, and over that of the median
+        pixel; None if it is unknown.
 
     Examples
     --------
@@ -103,6 +106,8 @@ class Pixel(Shown):
     sequence: int = 1
     most_fitted: int | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
+    seconds: tuple[float, float] | None = None
+    over_median: float | None = None
     _drawn: ClassVar[str] = "histograms, curves and means"
 
     @classmethod
@@ -115,7 +120,11 @@ class Pixel(Shown):
         length = sequence_of(samples.attrs)
         place = y % height, x % width
         name, attrs = samples.name, samples.attrs
-        return cls(*place, radiance, samples.channels, name, parts, length, attrs=attrs)
+        found = cls(*place, radiance, samples.channels, name, parts, length, attrs=attrs)
+        if (costs := samples.costs) is None or not costs.count[place]:
+            return found
+        seconds = float(costs.seconds[place]), float(costs.error[place])
+        return replace(found, seconds=seconds, over_median=costs.over_median(*place))
 
     @property
     def spp(self) -> int:
@@ -450,6 +459,13 @@ class Pixel(Shown):
             facts["dependence"] = (
                 f"samples depend on each other in sequences of {self.sequence}; standard errors "
                 "know of it, intervals and p-values do not"
+            )
+        if self.seconds and self.over_median:
+            taken, within = self.seconds
+            facts["cost"] = (
+                f"a sample takes {duration(taken)} here"
+                f"{f' ± {duration(within)}' if np.isfinite(within) else ''}, "
+                f"{number(self.over_median, 2)} times the median"
             )
         if self.label:
             label = Label(int(self.patterns.label))

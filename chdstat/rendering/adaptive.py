@@ -31,7 +31,11 @@ looked for.
 
 If the noise were known, numbers in proportion to its root would minimise the relative error of the
 image or its MSE (Neyman 1934, "On the two different aspects of the representative method",
-doi:10.2307/2342192). Trial samples follow this rule, with the likely noise of each pixel. Other
+doi:10.2307/2342192). If a sample takes a known time, which differs from pixel to pixel, they are
+best over the root of that time (Cochran, "Sampling Techniques", 3rd edition, 1977, section 5.5):
+in the time that it takes, the error is smallest. Times are known if a render is asked for them
+(``cost=True``); as with noise, the times of other pixels, or of trial samples, decide. Trial
+samples follow this rule, with the likely noise of each pixel. Other
 pixels know less of it, and know brightness better than noise. There, numbers follow a smaller power
 of the noise, times a power of the brightness. Both powers were chosen on the 13 scenes on which the
 how-to judges them. Regression trees, and powers learned from the image itself, gained no more.
@@ -59,7 +63,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
@@ -77,6 +81,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from chdstat._core.resampling import Interval
+    from chdstat.samples.costs import SampleCosts
 
 ErrorMeasure = Literal["relMSE", "MSE"]
 """The error of the image to minimise."""
@@ -102,6 +107,8 @@ _WIDE, _NEAR = 3.0, 1.5
 """Width in pixels of the weights of pixels that decide, and of pixels whose mean is compared."""
 _POWERS = {"relMSE": (0.35, -0.12), "MSE": (0.2, 0.2)}
 """Powers of the expected noise and of the brightness that counts follow."""
+_NEYMAN = (0.5, -0.5)
+"""Powers of the noise and of the cost of a sample that are best if both are known."""
 _LITTLE = 0.02
 """Share of the mean over the image that is added to noise and brightness."""
 _ALIKE = (-6.0, -1.5, -0.5, 0.0, 0.5, 1.5, 3.0, 6.0, 12.0, 25.0, 100.0)
@@ -581,7 +588,8 @@ def density_of(
     Parameters
     ----------
     needs
-        What decides: the expected squared error of one sample, and radiance, shape (y, x, 2).
+        What decides: the expected squared error of one sample, radiance and, if it is known, what a
+        sample takes, shape (y, x, number).
     powers
         Power of each.
     least
@@ -608,7 +616,7 @@ def _bounded(wanted: Floats, least: float) -> Floats:
 
 
 def decided(
-    look: Look, how: Adaptive, features: Mapping[str, Image]
+    look: Look, how: Adaptive, features: Mapping[str, Image], costs: SampleCosts | None = None
 ) -> tuple[Image, dict[str, Any]]:
     """Return the density of a render, and its noise.
 
@@ -624,11 +632,15 @@ def decided(
         The plan of the render.
     features
         First-hit features, as far as they exist.
+    costs
+        What samples take, if they were timed: with `how.error`, trial samples. Pixels that are
+        twice as costly as others get fewer samples by the root of 2.
     """
     # The error is a relative one, whatever it is that counts minimise.
     of_error = _noise_for_error(look, "relMSE", features)
+    seconds = [] if costs is None else [_known(costs.seconds)]
     if how.error is None:
-        density = _by_others(look, how, features)
+        density = _by_others(look, how, features, seconds)
         found, surely = _squared(of_error.value / density, of_error.spread / density**2)
     else:
         needs, likely = _own_noise(look, how.measure, features), of_error.likely(features)
@@ -637,7 +649,7 @@ def decided(
             even = np.percentile(likely.value, how.percentile)
         least = min(max(how.first * how.error**2 / even, how.least), 1.0) if even > 0 else 1.0
         density, one, two = (
-            density_of(of[..., np.newaxis], (0.5,), least)
+            density_of(np.stack([of, *seconds], axis=-1), _NEYMAN[: 1 + len(seconds)], least)
             for of in (needs.value, *(half for half, _ in needs.halves))
         )
         each = likely.value / density
@@ -656,17 +668,26 @@ def decided(
     return density.astype(np.float32), known
 
 
-def _by_others(look: Look, how: Adaptive, features: Mapping[str, Image]) -> Floats:
+def _known(seconds: Floats) -> Floats:
+    """Return times of samples, their mean where they are unknown."""
+    known = np.isfinite(seconds)
+    return np.where(known, seconds, seconds[known].mean() if known.any() else 1.0)
+
+
+def _by_others(
+    look: Look, how: Adaptive, features: Mapping[str, Image], seconds: Sequence[Floats] = ()
+) -> Floats:
     """Return densities of which the samples of other classes decide those of a class."""
     classes = classes_of(*look.brightness.shape)
     noise = _noise_for_counts(look, how.measure, classes).value
     needs = _around(
-        np.stack([noise, look.brightness], axis=-1),
+        np.stack([noise, look.brightness, *seconds], axis=-1),
         features,
         _WIDE,
         lambda here, there: classes[here] != classes[there],
     )
-    return density_of(needs, _POWERS[how.measure], how.least, classes)
+    powers = (*_POWERS[how.measure], *_NEYMAN[1 : 1 + len(seconds)])
+    return density_of(needs, powers, how.least, classes)
 
 
 def more(look: Look, how: Adaptive, features: Mapping[str, Image]) -> Floats | None:

@@ -245,6 +245,8 @@ class Job:
         Guide of the directions; None without one, or if it is still to be trained.
     film
         Whether to draw where in its pixel each sample falls, instead of its light.
+    cost
+        Whether to time samples.
     """
 
     scene: Scene
@@ -254,6 +256,7 @@ class Job:
     plugins: tuple[Plugin, ...] = field(default_factory=loaded)
     guide: Guide | None = None
     film: bool = False
+    cost: bool = False
 
     @classmethod
     def of(cls, scene: SceneLike, **options: Unpack[RenderSettings]) -> Job:

@@ -36,7 +36,9 @@ from chdstat.errors import (
 )
 from chdstat.rendering.backend import activate
 from chdstat.rendering.jobs import OF_INTEGRATOR, Job, built_kind, in_python
+from chdstat.rendering.sample_clock import SampleClock, now, uninterrupted
 from chdstat.rendering.seeds import STREAMS, Streams
+from chdstat.samples.costs import SampleCosts
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
@@ -169,6 +171,7 @@ class MitsubaRenderer:
         if chunk.missing is not None and not chunk.missing.any():
             height, width, samples = chunk.shape
             return np.full((height, width, self.channels, samples), np.nan, np.float32)
+        self._local.costs = None
         with self._telling():
             block = self._drawn(chunk, before_pass)
         if self.job.film:
@@ -180,6 +183,11 @@ class MitsubaRenderer:
         if self.job.light is None:
             return block
         return np.where(np.abs(block) < _FLUSHED, np.float32(0), block)
+
+    @property
+    def costs(self) -> SampleCosts | None:
+        """What samples took in the last chunk of this thread; None if none was timed."""
+        return getattr(self._local, "costs", None)
 
     def _drawn(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         if self._sequences is not None:
@@ -422,13 +430,19 @@ class MitsubaRenderer:
         ends = np.full((height, width), samples)
         if chunk.missing is not None:  # the numbers of a sample go on from those of the one before
             ends = (chunk.missing * np.arange(1, samples + 1)).max(axis=-1)
+        times = np.full((height, width, samples), np.nan)
         for y in range(height):
             before_pass()
             for x in range(width):
                 sampler.seed(number + y * width + x, 1)
                 for i in range(ends[y, x]):
+                    begun = now() if self.job.cost else np.nan
                     block[y, x, :, i] = sample(chunk.xs.start + x, chunk.ys.start + y)
+                    times[y, x, i] = now() - begun if self.job.cost else np.nan
                     sampler.advance()
+        if self.job.cost:
+            costs, before = SampleCosts.of(uninterrupted(times)), self.costs
+            self._local.costs = costs if before is None else before.merge(costs)
         return block
 
     # --- scalar ---------------------------------------------------------------------------------
@@ -442,13 +456,18 @@ class MitsubaRenderer:
 
             scene, sensor, integrator = film_places.square(self._mi, extent)
         block = np.empty((samples, height, width, 3), np.float32)
+        clock = None
+        if self.job.cost:
+            clock = SampleClock(self._mi, sensor, self._sensor_medium, (height, width))
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
             seed = self._streams.of_pass(chunk, sample)
             before_pass()
-            drawn = np.asarray(integrator.render(scene, sensor, seed=seed, spp=1))
-            block[i] = drawn[..., -3:]  # after what else an integrator of positions renders
+            with clock.of_pass(sample) if clock else contextlib.nullcontext(sensor) as used:
+                drawn = integrator.render(scene, used, seed=seed, spp=1)
+            block[i] = np.asarray(drawn)[..., -3:]  # positions come last
             if integrator.should_stop():
                 raise Interrupted
+        self._local.costs = clock and clock.costs
         samples_last = np.ascontiguousarray(block.transpose(1, 2, 3, 0))
         return film_places.of_square(samples_last) if self.job.film else samples_last
 

@@ -33,6 +33,7 @@ from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
+from chdstat.samples.costs import SampleCosts, with_times
 from chdstat.samples.layout import check_same, part_folder
 from chdstat.samples.ledger import counts_of
 from chdstat.samples.memory_writer import MemoryWriter
@@ -58,6 +59,7 @@ def render(
     by_depth: int | None = None,
     by_light: Sequence[str] = (),
     film: bool = False,
+    cost: bool = False,
     adaptive: bool | ErrorMeasure = False,
     error: float | None = None,
     percentile: float | None = None,
@@ -127,6 +129,11 @@ def render(
         Also keep where in its pixel each sample fell: `Samples.film`. `chdstat.patterns.film_split`
         tells from it how much of the variance is between places in the pixel. An `out` with it
         continues with it.
+    cost
+        Also time the samples of each pixel: `Samples.costs`. Only the scalar backend can tell, and
+        its samples stay the same to the bit. `chdstat.contrast` then knows the efficiency of each
+        pixel, and an adaptive render draws fewer samples where they take long; its numbers of
+        samples then depend on the machine. An `out` with times continues with them.
     adaptive
         Draw samples where they are needed. Every pixel gets some first (a quarter of `spp`, or 32
         but at most half). The others are drawn where the first ones of other pixels tell that the
@@ -185,11 +192,13 @@ def render(
         decided = {"by_depth": by_depth, "error": error, "percentile": percentile}
         asked = {**settings, **decided, "adaptive": adaptive or None}
         parts: Any = {"direct": direct, "by_light": by_light}
-        if film:
-            message = (
-                f"{loaded.renderer} does not say where in a pixel its samples fall; leave out film"
-            )
-            raise InputError(message)
+        for name, given, what in (
+            ("film", film, "where in a pixel its samples fall"),
+            ("cost", cost, "what single samples take"),
+        ):
+            if given:
+                message = f"{loaded.renderer} does not say {what}; leave out {name}"
+                raise InputError(message)
         working: Any = {"seconds": seconds, "client": client, "progress": progress}
         return _recorded(loaded, asked, parts, out, **working)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
@@ -219,6 +228,10 @@ def render(
         )
         raise InputError(message)
     job = Job.of(loaded, **settings)
+    went_on = existing is not None and existing.has_costs and client is None
+    if cost or (went_on and job.backend.name == "scalar"):
+        _check_timing(job, client)
+        job = replace(job, cost=True)
     if job.guided and existing is not None:
         from chdstat.rendering.guiding import kept_guide
 
@@ -235,6 +248,22 @@ def render(
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
         return _captured(job, depths, by_light, film, how, place, work, seconds)
+
+
+def _check_timing(job: Job, client: Client | None) -> None:
+    """Refuse to time samples where that says nothing of single pixels."""
+    if job.backend.name != "scalar":
+        message = (
+            "cost=True times the samples of each pixel, which only the scalar backend draws one by "
+            f"one, got backend={job.backend.name!r}; give backend='scalar', or leave out cost"
+        )
+        raise InputError(message)
+    if client is not None:
+        message = (
+            "cost=True measures on this machine, and the workers of a cluster differ; leave out "
+            "client or cost"
+        )
+        raise InputError(message)
 
 
 _OF_ANY = ("spp", "size", "seed", "max_depth", "crop")
@@ -280,6 +309,7 @@ def _captured(
     renderer.check_lights(lights)
     partial: dict[LightPart, Job] = {FILM: replace(renderer.job, film=True)} if film else {}
     partial |= _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
+    partial = {which: replace(of_part, cost=False) for which, of_part in partial.items()}
     with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
         is_less = spp < writer.attrs["spp"] and (how is None or how.error is None)
         if is_less and not writer.ledger.pending():
@@ -317,6 +347,7 @@ class _AdaptiveRender:
     renderer: MitsubaRenderer
     writer: Writer
     work: Work
+    _trial_costs: SampleCosts | None = None
 
     def __post_init__(self) -> None:
         self._most = self.renderer.job.options["spp"]
@@ -346,7 +377,7 @@ class _AdaptiveRender:
         else:
             held = self.writer.finish()
             if how.error is None:
-                density, noise = decided(Look.of(held), how, held.features)
+                density, noise = decided(Look.of(held), how, held.features, held.costs)
             else:
                 density, noise = self._tried(held.features)
         self._make_room(density, how.spp(noise, self._most), noise)
@@ -367,6 +398,7 @@ class _AdaptiveRender:
         width, height = self.renderer.size
         number = max_spp(self.renderer.job.backend.name, width, height) // (2 * BATCH)
         look, drawn, wanted = None, 0, self.how.first_trial(self._most)
+        self._trial_costs = None
         while True:
             while drawn < wanted:
                 begin, size = number * BATCH, min(BATCH, wanted - drawn)
@@ -375,7 +407,7 @@ class _AdaptiveRender:
                 look = part if look is None else look.merge(part)
                 number, drawn = number + 1, drawn + size
             assert look is not None, "there are trial samples"
-            density, noise = decided(look, self.how, features)
+            density, noise = decided(look, self.how, features, self._trial_costs)
             noise["trials"] = drawn
             if not self.how.needs_larger_trial(noise, self._most):
                 return density, noise
@@ -391,6 +423,9 @@ class _AdaptiveRender:
                 for chunk, block in rendered(self.renderer, chunks, self.work["client"]):
                     assert block is not None, "without a store, samples are yielded"
                     yield (chunk.ys, chunk.xs), block
+                    if chunk.costs is not None:
+                        held, shape = self._trial_costs, (height, width)
+                        self._trial_costs = with_times(held, shape, chunk, chunk.costs)
                     advance(chunk.size)
 
             return Look.of_blocks((height, width, 3), blocks())
@@ -592,6 +627,8 @@ def _fill(
                     writer.write(chunk, block)
                 elif store is not None:
                     store.note(chunk)
+                if chunk.costs is not None:
+                    writer.timed(chunk, chunk.costs)
                 advance(chunk.size)
                 late = seconds is not None and time.monotonic() - start > seconds
                 if late and writer.ledger.complete_spp:

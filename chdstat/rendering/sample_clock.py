@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.arrays import Floats
-from chdstat.rendering.rays import BLOCK
 from chdstat.samples.costs import SampleCosts
 
 _EVERY = 16
@@ -37,6 +36,18 @@ now = (
     else time.perf_counter
 )
 """The clock, in seconds."""
+
+
+def uninterrupted(times: Floats) -> Floats:
+    """Return times of samples, NaN where the system interrupted them.
+
+    Examples
+    --------
+    >>> uninterrupted(np.array([1.0] * 999 + [50.0]))[-3:]
+    array([ 1.,  1., nan])
+    """
+    longest = _LONGEST * np.nanquantile(times, 0.99) if np.isfinite(times).any() else np.nan
+    return np.where(times > longest, np.nan, times)
 
 
 @functools.cache
@@ -111,12 +122,13 @@ class SampleClock:
         # The last sample of a block includes what finishes the block: its neighbours stand for it.
         for last in np.flatnonzero(self._ends_block()):
             times[:, last] = times[:, max(last - 3, 0) : max(last, 1)].mean(axis=1)
-        interrupted = times > _LONGEST * np.quantile(times, 0.99)
         by_pixel = np.empty((*self._shape, len(times)))
-        by_pixel[self._order] = np.where(interrupted, np.nan, times - of_clock).T
+        by_pixel[self._order] = uninterrupted(times).T - of_clock
         return SampleCosts.of(by_pixel)
 
     def _ends_block(self) -> Any:
+        from chdstat.rendering.rays import BLOCK
+
         rows, columns = self._order
         block = rows // BLOCK * self._shape[1] + columns // BLOCK
         return np.append(block[1:] != block[:-1], True)

@@ -19,8 +19,10 @@ from chdstat.errors import InputError
 if TYPE_CHECKING:
     from chdstat.samples.tiles import Chunk
 
+COSTS = "costs"
+"""Feature of a store with what samples of each pixel took, as `SampleCosts.to_array` returns it."""
 _LEAST = 1 / 20
-"""Least time of a pixel's sample that is told, over the mean of the image: clocks err by as much."""
+"""Least time that is told of a pixel, over the mean of the image: clocks err by as much."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class SampleCosts:
         return cls(count, mean, (away**2).sum(axis=-1))
 
     @classmethod
-    def of_array(cls, stacked: Image) -> Self:
+    def of_array(cls, stacked: Reals) -> Self:
         """Return the costs that `to_array` returned as an array."""
         return cls(*np.moveaxis(np.asarray(stacked, np.float64), -1, 0))
 
@@ -90,6 +92,17 @@ class SampleCosts:
         """Median of `seconds` over the pixels; NaN if nothing was timed."""
         known = self.seconds[self.count > 0]
         return float(np.median(known)) if known.size else np.nan
+
+    def variables(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
+        """Return the maps of a dataset: ``sample_seconds`` and ``sample_seconds_error``."""
+        named = {
+            "sample_seconds": (self.seconds, "time to render a sample"),
+            "sample_seconds_error": (self.error, "standard error of the time to render a sample"),
+        }
+        return {
+            name: (("y", "x"), values, {"long_name": label, "units": "s"})
+            for name, (values, label) in named.items()
+        }
 
     def over_median(self, y: int, x: int) -> float:
         """Return the cost of a pixel over that of the median pixel."""

@@ -7,7 +7,8 @@ The group::
     radiance/c/Y/X/0/B  a chunk: the tile of pixels in row Y and column X, the batch B of samples
     features/           albedo, normal, position (y, x, component); depth (y, x); and, where the
                         pixels have different numbers of samples, counts (y, x), or density (y, x)
-                        from which these follow: what lies beyond them in radiance is NaN
+                        from which these follow: what lies beyond them in radiance is NaN; and,
+                        where samples were timed, costs (y, x, 3): how many, mean, sum of squares
     direct/             a store of its own: emission and direct light of the same samples
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
     film/               likewise where in its pixel each sample fell, (y, x, 2, sample)

@@ -10,6 +10,7 @@ import numpy as np
 
 from chdstat._core.arrays import Image
 from chdstat._core.work import check_memory
+from chdstat.samples.costs import COSTS, SampleCosts, with_times
 from chdstat.samples.layout import GUIDE
 from chdstat.samples.ledger import Ledger, counts_of
 from chdstat.samples.samples import Samples
@@ -30,6 +31,7 @@ class MemoryWriter:
     def __init__(self, shape: tuple[int, int, int, int], attrs: Mapping[str, Any]) -> None:
         self.attrs, self._features = dict(attrs), dict[str, Image]()
         self.density: Image | None = None
+        self._costs: SampleCosts | None = None
         self._array = np.full(shape, np.nan, np.float32)
         counts = np.full(shape[:2], shape[3], np.int32) if "adaptive" in attrs else None
         self.ledger = Ledger(shape, counts)
@@ -87,6 +89,10 @@ class MemoryWriter:
         """Change attributes."""
         self.attrs |= attrs
 
+    def timed(self, chunk: Chunk, costs: SampleCosts) -> None:
+        """Take note of what the samples of a chunk took."""
+        self._costs = with_times(self._costs, self._array.shape, chunk, costs)
+
     def spent(self, seconds: float) -> None:
         """Record the rendering time."""
         self.attrs["render_seconds"] = round(seconds, 3)
@@ -95,5 +101,8 @@ class MemoryWriter:
         """Return the samples, with the parts of their light."""
         spp, counts = self.ledger.complete_spp, self.ledger.counts
         attrs = self.attrs if counts is not None else {**self.attrs, "spp": spp}
-        about: Any = {"attrs": attrs, "features": self._features, "parts": parts}
+        features = dict(self._features)
+        if self._costs is not None:
+            features[COSTS] = self._costs.to_array()
+        about: Any = {"attrs": attrs, "features": features, "parts": parts}
         return Samples(self._array[..., :spp], counts=counts, **about)

@@ -43,6 +43,7 @@ from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.assembly import labelled, over_tiles
+from chdstat.samples.costs import COSTS, SampleCosts, check_seconds
 from chdstat.samples.dependence import (
     check_independent,
     check_sequences,
@@ -112,6 +113,7 @@ class Samples:
         direct: npt.ArrayLike | None = None,
         axes: str | None = None,
         counts: npt.ArrayLike | None = None,
+        seconds: npt.ArrayLike | None = None,
         **attrs: Any,
     ) -> Samples:
         """Hold samples that are already in memory.
@@ -135,6 +137,9 @@ class Samples:
             Number of samples of each pixel, shape (y, x), if they differ; `array` is ignored beyond
             them. If these numbers depended on the samples themselves, as in most adaptive sampling,
             means are biased.
+        seconds
+            Time that a sample of each pixel took to render, shape (y, x), or each sample, (y, x,
+            sample); NaN where it is unknown. See `Samples.costs`.
         **attrs
             Provenance: ``scene="name"``, ``seed=7``, ``unit`` of radiance, or ``sequence=16`` if 16
             samples at a time depend on each other.
@@ -167,9 +172,12 @@ class Samples:
             absent = np.arange(shape[3]) >= found[..., np.newaxis, np.newaxis]
             parts = [np.where(absent, np.float32(np.nan), part) for part in parts]
         check_features(features or {}, shape)
+        arrays = dict(features or {})
+        if seconds is not None:
+            arrays[COSTS] = check_seconds(seconds, shape).to_array()
         attrs = checked_attrs(attrs)
         warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], shape, "samples")
-        held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
+        held = [cls(p, attrs=attrs, features=arrays, counts=found) for p in parts]
         if direct is not None:
             held[0]._parts = {DIRECT_DEPTH: held[1]}
         return held[0]
@@ -235,10 +243,24 @@ class Samples:
     @cached_property
     def features(self) -> dict[str, Image]:
         """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
+        return {name: image for name, image in self._arrays.items() if name != COSTS}
+
+    @cached_property
+    def _arrays(self) -> dict[str, Image]:
+        """First-hit features, and the costs of samples, as far as they are known."""
         if self._features is not None or isinstance(self._held, np.ndarray):
             return dict(self._features or {})
         ys, xs, _ = map(_as_slice, self.part)
         return {name: image[ys, xs] for name, image in self._held.read_features().items()}
+
+    @property
+    def costs(self) -> SampleCosts | None:
+        """How long a sample of each pixel takes to render; None if none was timed.
+
+        ``costs.seconds`` is a map (y, x), and ``costs.error`` its standard error; see
+        `chdstat.samples.costs.SampleCosts`.
+        """
+        return SampleCosts.of_array(self._arrays[COSTS]) if COSTS in self._arrays else None
 
     @property
     def direct(self) -> Samples | None:
@@ -481,7 +503,7 @@ class Samples:
         if isinstance(self._held, np.ndarray):
             return self
         loaded = copy.copy(self)
-        loaded._held, loaded._features, loaded._path = self.read(), self.features, None
+        loaded._held, loaded._features, loaded._path = self.read(), self._arrays, None
         loaded._parts = {which: part.load() for which, part in self._parts.items()}
         return loaded
 
@@ -567,7 +589,7 @@ class Samples:
                 means[ys, xs] = sequences.mean(axis=-1, dtype=np.float64)
         attrs = {name: value for name, value in self._attrs.items() if name != "sequence"}
         attrs |= {"averaged": length, "spp": count}
-        return Samples(means, attrs=attrs, features=self.features)
+        return Samples(means, attrs=attrs, features=self._arrays)
 
     def blocks(self) -> Iterator[tuple[slice, slice, slice, Image]]:
         """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.
@@ -637,6 +659,8 @@ class Samples:
         variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in self.features.items()}
         if self.unequal:
             variables["counts"] = (dims[:2], self.counts, {"long_name": "samples", "units": "1"})
+        if self.costs is not None:
+            variables |= self.costs.variables()
         radiance: Any = self._held if self.source is None else self._lazily()
         about = {"long_name": "linear radiance", "units": self._attrs.get("unit", "W sr-1 m-2")}
         variables["radiance"] = (("y", "x", "channel", "sample"), radiance, about)
@@ -866,9 +890,11 @@ def _in_range(size: Reals) -> str:
 def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]) -> None:
     """Refuse first-hit features of another image than that of these samples."""
     for name, image in features.items():
-        if name == "counts":
+        if name in (given := {"counts": "number", COSTS: "time"}):
+            option = "counts" if name == "counts" else "seconds"
             message = (
-                "a feature must not be called counts: give the samples of each pixel as counts="
+                f"a feature must not be called {name}: give the {given[name]} of the samples of "
+                f"each pixel as {option}="
             )
             raise InputError(message)
         if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != shape[:2]:

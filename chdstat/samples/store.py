@@ -40,6 +40,7 @@ from chdstat._core.files import (
 from chdstat._core.progress import track
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
+from chdstat.samples.costs import COSTS, SampleCosts, with_times
 from chdstat.samples.dependence import (
     check_independent,
     check_sequences,
@@ -82,11 +83,13 @@ class Store:
 
     frames = False
 
+    _timed: SampleCosts | None
+
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
         self.path, self._attributes, self._lock = path.absolute(), dict(attributes), lock
         height, width, channels, spp = self._manifest["shape"]
         self.shape = (height, width, channels, spp)
-        self.density = self._decided()
+        self.density, self._timed = self._decided(), None
         self.ledger = self._stored()
         self._lay_out()
 
@@ -362,20 +365,26 @@ class Store:
         return found
 
     def read_features(self) -> dict[str, Image]:
-        """Return the first-hit features that are stored, by name.
+        """Return the first-hit features that are stored, by name, and the costs of samples.
 
         Raises
         ------
         StoreError
             If one is damaged.
         """
-        return {name: self._read_feature(name) for name in self.feature_names}
+        costs = {COSTS} & self._manifest["features"].keys()
+        return {name: self._read_feature(name) for name in [*self.feature_names, *costs]}
 
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
-        apart = {layout.COUNTS, layout.DENSITY, *layout.GUIDE}
+        apart = {layout.COUNTS, layout.DENSITY, COSTS, *layout.GUIDE}
         return sorted(self._manifest["features"].keys() - apart)
+
+    @property
+    def has_costs(self) -> bool:
+        """Whether samples were timed."""
+        return COSTS in self._manifest["features"]
 
     def guide(self) -> dict[str, Image] | None:
         """Return the arrays of the samples' guide; None if there is none that can be read."""
@@ -415,8 +424,10 @@ class Store:
 
     def _metadata(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the metadata files and their right content, the manifest first."""
-        # The time is left out, so that equal samples are equal files.
+        # Times are left out, so that equal samples are equal files.
         copy = {k: v for k, v in self._attributes.items() if k != "render_seconds"}
+        features = {k: v for k, v in self._manifest["features"].items() if k != COSTS}
+        copy["manifest"] = {**self._manifest, "features": features}
         yield "zarr.json", layout.group_metadata(layout.signed(self._attributes))
         yield "radiance/zarr.json", layout.radiance_metadata(self.shape, layout.signed(copy))
         features = self._manifest["features"]
@@ -461,11 +472,25 @@ class Store:
             with layout.disk_errors(self.path):
                 self._save()
 
+    def timed(self, chunk: Chunk, costs: SampleCosts) -> None:
+        """Take note of what the samples of a chunk took; `spent` writes it."""
+        self._timed = with_times(self._timed, self.shape, chunk, costs)
+
     def spent(self, seconds: float) -> None:
         """Add to the rendering time, unless the disk is full, which `write` has reported."""
         before = float(self.attrs.get("render_seconds", 0.0))
         with contextlib.suppress(StoreError):
             self.update(render_seconds=round(before + seconds, 3))
+            if self._timed is not None:
+                self.add_costs(self._timed)
+                self._timed = None
+
+    def add_costs(self, costs: SampleCosts) -> None:
+        """Add times of samples to those that are stored; damaged ones are lost."""
+        if COSTS in self._manifest["features"]:
+            with contextlib.suppress(StoreError):
+                costs = SampleCosts.of_array(self._read_feature(COSTS)).merge(costs)
+        self.renew({COSTS: costs.to_array()})
 
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples that every pixel has, with the parts of their light."""
@@ -529,6 +554,9 @@ class Store:
     def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
         """Write features that are missing or damaged, or why there are none."""
         if self.lacks_features:
+            if COSTS in self._damaged_features():  # lost
+                held = self._manifest["features"]
+                self._change({"features": {n: a for n, a in held.items() if n != COSTS}})
             with layout.disk_errors(self.path):
                 for name, image in features.items():
                     self._write_feature(name, image)
@@ -548,8 +576,11 @@ class Store:
         If the writer is killed meanwhile, each of them is the former or the new one.
         """
         if features.keys() - self._manifest["features"].keys():
-            self.restore(features)
-            self.update(**attrs)
+            with layout.disk_errors(self.path):
+                for name, image in features.items():
+                    self._write_feature(name, image)
+                self._change({}, **attrs)
+                self._save()
             return
         before, made = self._manifest["features"], {}
         for name, image in features.items():
@@ -718,6 +749,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "film_spp": parts[FILM].ledger.complete_spp if FILM in parts else 0,
         "lights": {k: p.ledger.complete_spp for k, p in parts.items() if isinstance(k, str)},
         "features": store.feature_names,
+        "costs": store.has_costs,
         "counts": None if counts is None else [int(counts.min()), int(counts.max())],
         "bytes": sum(f.stat().st_size for f in files),
     }
@@ -785,6 +817,8 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool) -> Sampl
             raise StoreError(message)
         shape = samples.shape
         features = dict(samples.features)
+        if samples.costs is not None:
+            features[COSTS] = samples.costs.to_array()
         if samples.unequal:
             features[layout.COUNTS] = samples.counts.astype(np.float32)
         store = Store.create(path, shape=shape, attrs=attrs, features=features)
@@ -799,6 +833,8 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool) -> Sampl
             store.extend(first + samples.spp)
             store.update(appended=appended)
         _fill(store, samples, first, progress)
+        if append and samples.costs is not None:
+            store.add_costs(samples.costs)
         if append:
             return store.finish()
         parts = {

@@ -717,3 +717,23 @@ def test_the_share_that_is_done_rises(monkeypatch, image):
         assert len(shares) >= 4
         assert shares == sorted(set(shares))
         assert 0 <= shares[0] < shares[-1] <= 1
+
+
+def test_efficiency_takes_the_measured_time_of_each_pixel():
+    """A sample of B takes half the time of one of A on the left, and twice of it on the right."""
+    rng = np.random.default_rng(5)
+    x, y = rng.gamma(2.0, size=(2, 16, 16, 1, 64))
+    left = np.arange(16) < 8
+    of_a = np.full((16, 16), 2.0)
+    a = chd.Samples.from_array(x, seconds=of_a, render_seconds=1.0)
+    b = chd.Samples.from_array(y, seconds=np.where(left, 1.0, 4.0) * np.ones((16, 1)))
+    found = contrast(a, b)
+    assert found.timed == "pixels"
+    assert found.seconds == pytest.approx((512, 640))
+    ratio = found.maps["variance_a"] / found.maps["variance_b"] * np.where(left, 2, 0.5)
+    np.testing.assert_allclose(found.efficiency, ratio)
+    plain = found.maps["variance_a"].mean() / found.maps["variance_b"].mean()
+    assert found.efficiency_ratio.value == pytest.approx(float(plain) * 512 / 640, rel=0.05)
+    assert "measured time" in found.table()["efficiency of B over A"]
+    assert contrast(a, chd.Samples.from_array(y, render_seconds=2.0)).timed == "clock"
+    assert contrast(chd.Samples.from_array(x), b).timed == ""
