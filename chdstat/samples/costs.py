@@ -38,9 +38,9 @@ class SampleCosts:
 
     Examples
     --------
-    >>> costs = SampleCosts.of(np.array([[[1e-6, 3e-6], [4e-6, 4e-6]]]))
-    >>> costs.seconds.tolist(), costs.error.tolist(), costs.over_median(0, 1)
-    ([[2e-06, 4e-06]], [[1e-06, 0.0]], 1.3333333333333333)
+    >>> costs = SampleCosts.of(np.array([[[1.0, 3.0], [4.0, 4.0]]]))
+    >>> costs.seconds.tolist(), costs.error.tolist(), round(costs.over_median(0, 1), 2)
+    ([[2.0, 4.0]], [[1.0, 0.0]], 1.33)
     """
 
     count: Floats
