@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,21 +83,21 @@ class Rendered:
         error = parts.std(axis=0, ddof=1) / np.sqrt(PARTS)
         return Judge.of_image(parts, error, parts.mean(axis=(0, 1, 2)))
 
-    def samples(self, number: int, spp: int) -> chd.Samples:
+    def samples(self, number: int, spp: int, *, film: bool = False) -> chd.Samples:
         """Return a render by its number, from 0: each has its own seed."""
         seed = FIRST_SEED + number
-        path = self.folders[1] / f"{self.name}-{seed}.zarr"
+        path = self.folders[1] / f"{self.name}-{seed}{'-film' * film}.zarr"
         if path.exists() and (kept := chd.open(path)).fewest >= spp:
             return kept
-        size = (SIZE, SIZE)
-        return chd.render(self.scene, spp=spp, size=size, seed=seed, out=path, progress=False)
+        options = {"size": (SIZE, SIZE), "out": path, "film": film, "progress": False}
+        return chd.render(self.scene, spp=spp, seed=seed, **options)
 
 
-def scenes(temporary: Path) -> list[Rendered]:
+def scenes(temporary: Path, built_in: Sequence[str] = BUILT_IN) -> list[Rendered]:
     """Return the scenes that there are; what is not kept elsewhere is put into a folder."""
     real, others = (os.environ.get(f"CHDSTAT_{name}") for name in ("SCENES", "OTHERS"))
     found = {} if real is None else {n: str(Path(real) / p) for n, p in REAL.items()}
-    found |= {f"{name} (built in)": name for name in BUILT_IN}
+    found |= {f"{name} (built in)": name for name in built_in}
     further = {}
     for path in sorted(Path(others).iterdir()) if others else ():
         if path.suffix == ".xml":

@@ -77,7 +77,7 @@ class Row:
     ) -> Row:
         n = found[0].spp
         made = [_images_of(x, f) for x, f in zip(samples, found, strict=True)]
-        errors = {k: np.stack([_errors_of(m[k], reference) for m in made]) for k in made[0]}
+        errors = {k: np.stack([errors_of(m[k], reference) for m in made]) for k in made[0]}
         images, of_mean = ([getattr(f, k) for f in found] for k in ("radiance", "mean"))
         inside = np.stack([holds(f, reference) for f in found])
         apart = np.subtract(images, of_mean).sum(dtype=np.float64) / len(found)
@@ -195,7 +195,7 @@ def _images_of(samples: chd.Samples, found: Combination) -> dict[str, np.ndarray
     return images
 
 
-def _errors_of(image: np.ndarray, reference: Judge) -> np.ndarray:
+def errors_of(image: np.ndarray, reference: Judge) -> np.ndarray:
     """Return the squared and the relative squared errors, shape (2, y, x, channel)."""
     return np.stack([reference.squared(image), reference.relative(image)[0]])
 

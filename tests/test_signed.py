@@ -48,6 +48,7 @@ ENERGY = dict.fromkeys(FIXED, 0.002) | {
     "gmon_adaptive": 0.02,
     "shared_patches": 0.01,
     "sakai2024": 0.01,
+    "sakai2025": 0.01,
 }
 
 

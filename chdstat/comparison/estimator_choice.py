@@ -278,6 +278,7 @@ def estimate_by(
     x: Array,
     *,
     features: Mapping[str, Array] | None = None,
+    film: Samples | None = None,
     model: Any = None,
 ) -> Array:
     """Estimate radiance (y, x, channel) from samples (y, x, channel, sample).
@@ -290,14 +291,18 @@ def estimate_by(
         Samples of a whole image, or of the part that the estimator should see.
     features
         First-hit features of the same pixels, for estimators that take them.
+    film
+        Where in its pixel each of the samples fell, for estimators that take it.
     model
         Trained model of an estimator that learns.
     """
     own, known = without_denoiser(entry), features or {}
     if isinstance(entry, Denoised):
-        radiance = estimate_by(own, x, features=known, model=model)
+        radiance = estimate_by(own, x, features=known, film=film, model=model)
         return through_denoiser(radiance, known if entry.with_features else {})
     options: Any = {"features": known} if own.uses_features and known else {}
+    if own.uses_film and film is not None:
+        options["film"] = film.read()
     return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
 
 

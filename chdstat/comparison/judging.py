@@ -442,7 +442,8 @@ def _errors_of_batch(
             own = without_denoiser(entry).name
             with portion(1 / len(entries)):
                 model = candidates.models.get(own)
-                estimate = estimate_by(entry, x, features=features, model=model)
+                given: Any = {"features": features, "film": batch[1].film}
+                estimate = estimate_by(entry, x, **given, model=model)
             if estimate.shape != average.shape:
                 message = (
                     f"{entry.name} must return one estimate for each pixel and channel, shape "

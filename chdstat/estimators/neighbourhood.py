@@ -1,9 +1,8 @@
 """Neighbourhood: pixels whose samples are similar share their statistics.
 
-`delbracio2014` compares histograms of the samples, patch by patch. `sakai2024` compares means by a
-test of significance, pixel by pixel. `rousselle2012` compares patches of means; it filters each
-half of the samples with weights from the other half, so that a firefly does not choose its own
-neighbours. All of them preserve edges that the samples show.
+`delbracio2014` compares histograms of the samples, patch by patch. `rousselle2012` compares patches
+of means; it filters each half of the samples with weights from the other half, so that a firefly
+does not choose its own neighbours. Both preserve edges that the samples show.
 
 `shared_patches` is new here: it averages pixels whose patches are statistically similar, in two
 passes. On rendered scenes at 32 samples, it has the smallest error of all estimators without
@@ -13,7 +12,6 @@ training.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,10 +21,10 @@ from scipy import ndimage
 from chdstat._core.arrays import Floats, Reals, as_pixels, is_bad, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat._core.moments import Moments
-from chdstat.errors import check_option, check_probability
+from chdstat.errors import check_option
 from chdstat.estimators import similarity
 from chdstat.estimators.held_out import reordered
-from chdstat.estimators.registry import check_positive, known_features, register
+from chdstat.estimators.registry import check_positive, register
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 
 Fireflies = Literal["limit", "keep"]
@@ -42,8 +40,6 @@ of surfaces around."""
 _ROUNDING = 1e-6
 _ALPHA = 0.005
 """Level of the test of means."""
-_GUIDES = {"albedo": 0.02, "normal": 0.1}
-"""Standard deviations of the guiding features (authors' code)."""
 _CUT = 7.0
 """Weights below e^-7 are set to 0."""
 _FAR = 1e6
@@ -131,100 +127,6 @@ def delbracio2014(
 
     window = similarity.Window(weigh, fields, radius, reach=2 * patch)
     return image.radiance(window.average(mean, counts)[0])
-
-
-@register(
-    "sakai2024",
-    "Sakai et al. 2024, doi:10.1145/3680528.3687591",
-    label="Sakai et al. 2024",
-    place=7,
-    minimum_samples=2,
-    uses_neighbours=True,
-    uses_features=True,
-)
-def sakai2024(
-    x: Reals,
-    *,
-    features: Mapping[str, npt.NDArray[Any]] | None = None,
-    alpha: float = 0.005,
-    radius: int = 20,
-    spread: float = 10.0,
-) -> Reals:
-    """Statistical denoising: average pixels whose means do not differ significantly.
-
-    Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
-    SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, with means
-    corrected for skewness after Johnson. The weight is ``exp(-d^2 / 2)``, where d^2 is the sum of
-    the squared differences of position, albedo and shading normal, in units of `spread` pixels,
-    0.02 and 0.1.
-
-    Formulas and settings follow the authors' published code, except that it repeats the border of
-    the image. The root of a negative sample x is ``-sqrt(-x)`` (Bickel and Doksum 1981).
-
-    Parameters
-    ----------
-    x
-        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
-    features
-        First-hit features of the image, as in `Samples.features`; ``albedo`` and ``normal``, each
-        of shape (y, x, 3), are used if present.
-    alpha
-        Level of the two-sided test, between 0 and 1. A smaller level averages more pixels.
-    radius
-        Radius of the round window, in pixels.
-    spread
-        Standard deviation of the Gaussian weights in the window, in pixels, larger than 0.
-
-    Returns
-    -------
-    ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels without a sample that
-        is good in all channels get the mean of each channel's good samples, or NaN.
-
-    Raises
-    ------
-    InputError
-        If `x` is not an image, has fewer than 2 samples, a feature has another size, or an option
-        is out of range.
-
-    References
-    ----------
-    H. Sakai, C. Freude, T. Auzinger, D. Hahn and M. Wimmer, "A statistical approach to Monte Carlo
-    denoising", SIGGRAPH Asia Conference Papers, 2024, doi:10.1145/3680528.3687591.
-    B. L. Welch, "The generalization of Student's problem when several different population
-    variances are involved", Biometrika 34, 1947, doi:10.1093/biomet/34.1-2.28.
-    G. E. P. Box and D. R. Cox, "An analysis of transformations", Journal of the Royal Statistical
-    Society B 26(2), 1964, doi:10.1111/j.2517-6161.1964.tb00553.x.
-    P. J. Bickel and K. A. Doksum, "An analysis of transformations revisited", Journal of the
-    American Statistical Association 76(374), 1981, doi:10.1080/01621459.1981.10477649.
-
-    Examples
-    --------
-    >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
-    >>> image[:, 4:] *= 100
-    >>> sakai2024(image)[4, [0, 3, 4, 7], 0].round(1).tolist()
-    [1.0, 1.0, 95.1, 94.9]
-    """
-    whole("radius", radius, least=0)
-    check_probability(alpha=alpha)
-    check_positive(spread=spread)
-    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
-    place = np.moveaxis(np.indices(image.count.shape, dtype=np.float64), 0, -1)
-    known = known_features(features or {}, image.count.shape, tuple(_GUIDES))
-    images = [known[name] / unit for name, unit in _GUIDES.items() if name in known]
-    guides = np.concatenate([place[..., :0], *images], axis=-1)
-    # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    tested = similarity.significance(similarity.corrected_means(image), image.count, alpha)
-
-    def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
-        far = np.square(here[0] - there[0]).sum(axis=-1)
-        unlike = np.square(here[1] - there[1]).sum(axis=-1)
-        weight = np.exp(-far / (2 * spread**2) - unlike / 2)
-        weight *= (far <= radius**2) * similarity.not_different(here[2:], there[2:])
-        return np.asarray(weight)
-
-    window = similarity.Window(weigh, (place, guides, *tested), radius)
-    return image.radiance(window.average(image.mean(), image.count[..., np.newaxis])[0])
 
 
 @register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)

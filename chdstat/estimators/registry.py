@@ -129,6 +129,8 @@ class Estimator(Shown):
         leaves out samples with a bad channel.
     uses_features
         Whether it takes ``features=``, the first-hit features of the image, where there are any.
+    uses_film
+        Whether it takes ``film=``, where in its pixel each sample fell, if that is known.
     learns
         Whether each call trains on the samples that it is given.
     """
@@ -142,6 +144,7 @@ class Estimator(Shown):
     uses_neighbours: bool = False
     joint_channels: bool = False
     uses_features: bool = False
+    uses_film: bool = False
     learns: bool = False
 
     @property
@@ -197,8 +200,8 @@ class LearnedEstimator(Shown):
         What it does, in a sentence.
     uses_features
         As for `Estimator`.
-    learns, uses_neighbours
-        True and False: it trains, and learned estimators use no other pixels.
+    learns, uses_neighbours, uses_film
+        True and False: it trains, and learned estimators use no other pixels and no places.
     """
 
     name: str
@@ -212,6 +215,7 @@ class LearnedEstimator(Shown):
     uses_features: bool = False
     learns: ClassVar[bool] = True
     uses_neighbours: ClassVar[bool] = False
+    uses_film: ClassVar[bool] = False
 
 
 ENTRIES: dict[str, Estimator | LearnedEstimator] = {}

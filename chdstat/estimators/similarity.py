@@ -76,17 +76,25 @@ class ScaledSamples:
         """Return estimates in units of `unit` as radiance, NaN where no whole sample is good."""
         return np.where(self.count[..., np.newaxis] > 0, estimate * self.unit, np.nan)
 
-    def walk(self, work: Callable[..., tuple[Floats, ...]]) -> tuple[Floats, ...]:
-        """Apply ``work(rows, mask, count)`` to pixels that stay in the cache together.
+    def walk(
+        self, work: Callable[..., tuple[Floats, ...]], *beside: npt.NDArray[Any]
+    ) -> tuple[Floats, ...]:
+        """Apply ``work(rows, mask, count, *beside)`` to pixels that stay in the cache together.
 
         Rows have shape (pixel, channel, sample), in units of `unit`; masks (pixel, 1, sample);
-        counts (pixel, 1).
+        counts (pixel, 1). What stands beside the samples, (y, x, ...), becomes (pixel, ...).
         """
         height, width, channels, n = self.samples.shape
         rows = self.samples.reshape(-1, channels, n)
         good, count = self.good.reshape(-1, 1, n), self.count.reshape(-1, 1)
+        others = [other.reshape(-1, *other.shape[2:]) for other in beside]
         found = [
-            work(rows[part] / np.float64(self.unit), good[part], count[part])
+            work(
+                rows[part] / np.float64(self.unit),
+                good[part],
+                count[part],
+                *(o[part] for o in others),
+            )
             for part in spans(len(rows), max(1, _CHUNK // (channels * n)))
         ]
         return tuple(
@@ -100,9 +108,13 @@ Means = tuple[Floats, ...]
 fewer than 2 samples."""
 
 
-def root(x: Floats) -> Floats:
-    """Return the root of samples; for a negative sample x, ``-sqrt(-x)``."""
-    return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
+def root(x: Floats, power: float = 0.5) -> Floats:
+    """Return samples to a power; for a negative sample x, ``-(-x)^power``."""
+    if power == 1:
+        return x
+    size = np.abs(x) if x.min() < 0 else x
+    found = np.sqrt(size) if power == 0.5 else size**power
+    return found if size is x else np.copysign(found, x)
 
 
 def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] = root) -> Means:

@@ -462,11 +462,16 @@ def bench(
                     if not (cases or parts):  # networks are loaded before time is measured
                         small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
                         for entry in chosen.entries.values():
-                            estimate_by(entry, small.read(), features=small.features)
+                            _estimated(entry, small)
                     inputs = images or {}, numbers, truth, samples, name, baseline
                     parts.append(_measured(chosen.entries, *inputs))
             cases += [Case.average([part[k] for part in parts]) for k in range(len(numbers))]
     return Bench(tuple(names), baseline, tuple(cases), chosen.left_out)
+
+
+def _estimated(entry: Entry, samples: Samples) -> Array:
+    """Return the image that an estimator makes of samples and what is known beside them."""
+    return estimate_by(entry, samples.read(), features=samples.features, film=samples.film)
 
 
 def _name(scene: Any) -> str:
@@ -599,7 +604,7 @@ def _measured(
             if takes(entry, n):
                 start = time.perf_counter()
                 with portion(1 / (len(entries) * len(numbers) + 1)):  # and a part to render
-                    image = estimate_by(entry, few.read(), features=few.features)
+                    image = _estimated(entry, few)
                 found[name] = image, time.perf_counter() - start
         for name, of_scene in images.items():
             if scene in of_scene:

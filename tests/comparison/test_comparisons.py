@@ -622,3 +622,22 @@ def test_what_learns_is_measured_at_its_own_size(quick_model):
 def test_the_curve_is_ready_for_json(curve):
     content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
     assert content["table"][0]["n"] == 4
+
+
+def test_places_on_the_film_reach_those_who_look_at_them():
+    scene = {"scene": "cornell-box", "size": (8, 8), "spp": 64, "backend": "scalar"}
+    samples = chd.render(**scene, film=True, progress=False)
+    places, told = samples.film.read(), []
+
+    def looking(x, film=None):
+        told.append(film)
+        return np.asarray(x).mean(axis=-1)
+
+    looks = [own("looking", looking, uses_film=True), own("blind", lambda x: x[..., 0])]
+    chd.compare(samples, looks, n=16, progress=False)
+    chd.compare(chd.render(**scene, progress=False), looks, n=32, progress=False)
+    chd.bench(samples, looks, spp=[32], progress=False)
+    for k, film in enumerate(told[:4]):
+        assert np.array_equal(film, places[..., 16 * k : 16 * k + 16])
+    assert told[4:6] == [None, None]
+    assert np.array_equal(told[-1], places[..., :32])

@@ -21,11 +21,13 @@ from chdstat.estimators.similarity import (
 ALL = (
     estimators.delbracio2014,
     estimators.sakai2024,
+    estimators.sakai2025,
     estimators.shared_patches,
     estimators.shared_shape,
 )
 
-AVERAGES = (estimators.delbracio2014, estimators.sakai2024, estimators.shared_patches)
+STATISTICAL = (estimators.sakai2024, estimators.sakai2025)
+AVERAGES = (estimators.delbracio2014, *STATISTICAL, estimators.shared_patches)
 
 
 def image(seed=0, shape=(9, 11, 3, 16), sigma=1.0):
@@ -36,48 +38,6 @@ def window(y, x, radius, height, width):
     for i in range(max(y - radius, 0), min(y + radius + 1, height)):
         for j in range(max(x - radius, 0), min(x + radius + 1, width)):
             yield i, j
-
-
-def sakai_by_hand(x, alpha, radius, spread, features):
-    """Welch's test on 2 (sqrt(x) - 1) in every channel, and the weights, literally."""
-    height, width, channels, n = x.shape
-    y = 2 * (np.sqrt(x) - 1)
-    s2 = y.var(axis=-1, ddof=1)
-    third = ((y - y.mean(axis=-1, keepdims=True)) ** 3).mean(axis=-1)
-    mean = y.mean(axis=-1) + third / (6 * s2 * n)
-    t = stats.t.ppf(1 - alpha / 2, 2 * n - 2)
-    result = np.empty((height, width, channels))
-    members = {}
-    for i, j in np.ndindex(height, width):
-        members[i, j] = [
-            (k, m)
-            for k, m in window(i, j, radius, height, width)
-            if (i - k) ** 2 + (j - m) ** 2 <= radius**2
-            and ((mean[i, j] - mean[k, m]) ** 2 <= t**2 * (s2[i, j] + s2[k, m]) / n).all()
-        ]
-        weights = [
-            np.exp(-((i - k) ** 2 + (j - m) ** 2) / (2 * spread**2))
-            * np.exp(-((features["albedo"][i, j] - features["albedo"][k, m]) ** 2).sum() / 2 / 4e-4)
-            * np.exp(-((features["normal"][i, j] - features["normal"][k, m]) ** 2).sum() / 2 / 1e-2)
-            for k, m in members[i, j]
-        ]
-        means = [x[p].mean(axis=-1) for p in members[i, j]]
-        result[i, j] = np.average(means, axis=0, weights=weights)
-    return result, members
-
-
-@pytest.mark.parametrize("radius", [0, 1, 3])
-def test_sakai_shares_what_the_formula_says(radius):
-    x = image(sigma=0.5)
-    x[:, 5:] *= 1.3
-    rng = np.random.default_rng(1)
-    features = {name: rng.normal(0, 0.02, (9, 11, 3)) for name in ("albedo", "normal", "position")}
-    options = {"alpha": 0.05, "radius": radius, "spread": 2.5, "features": features}
-    expected, members = sakai_by_hand(x, **options)
-    assert estimators.sakai2024(x, **options) == pytest.approx(expected, rel=1e-12)
-    sizes = {len(found) for found in members.values()}
-    assert (len(sizes) > 3) == (radius > 0)
-    assert all(p in members[q] for p, found in members.items() for q in found)
 
 
 def histogram_by_hand(values, unit):
@@ -275,14 +235,13 @@ def rms(values):
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
-    "function",
-    [estimators.sakai2024, estimators.shared_patches, estimators.shared_shape],
+    "function", [*STATISTICAL, estimators.shared_patches, estimators.shared_shape]
 )
 def test_one_good_sample_is_not_compared(function):
     x = image(13, (5, 5, 3, 16))
     x[2, 2, :, 1:] = np.inf
     assert np.isfinite(function(x)).all()
-    if function is estimators.sakai2024:
+    if function in STATISTICAL:
         assert function(x)[2, 2] == pytest.approx(x[2, 2, :, 0])
 
 
