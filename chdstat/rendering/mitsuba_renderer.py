@@ -7,6 +7,7 @@ wavefront. `chdstat.rendering.seeds` decides which random numbers each sample ow
 from __future__ import annotations
 
 import contextlib
+import copy
 import gc
 import hashlib
 import importlib.metadata
@@ -18,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,7 @@ from chdstat.rendering.jobs import OF_INTEGRATOR, Job, built_kind, in_python
 from chdstat.rendering.sample_clock import SampleClock, now, uninterrupted
 from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.costs import SampleCosts
+from chdstat.samples.film_steps import FILM_STEPS, STEPS
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
@@ -88,6 +90,7 @@ class MitsubaRenderer:
             self._streams = Streams(self.size, seed_number(options["seed"]))
             self._sequences = job.sequences
             self._local = threading.local()
+            self._orders = dict[tuple[int, int], npt.NDArray[np.int64]]()
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._scene = live.value if live else asked.scene.make(parallel=True)
@@ -124,6 +127,26 @@ class MitsubaRenderer:
         """Numbers that are drawn for each sample: its light, or its place in its pixel."""
         return 2 if self.job.film else 3
 
+    def for_film(self) -> Self:
+        """Return a renderer of the same samples that draws where in their pixels they fall.
+
+        Raises
+        ------
+        RenderError
+            If an integrator that is there already draws scalar passes, as it may number the pixels
+            in an order of its own.
+        """
+        if self._built is not None and self._scalar:
+            message = (
+                "film is for an integrator that is described, since one that Mitsuba has built may "
+                "draw the pixels in any order; give it by name or as a dict (integrator='path')"
+            )
+            raise RenderError(message)
+        found = copy.copy(self)
+        found.job = replace(self.job, film=True, cost=False)
+        found._local = threading.local()
+        return found
+
     @property
     def identity(self) -> dict[str, Any]:
         """Attributes that identify the scene, as stores keep them."""
@@ -155,7 +178,8 @@ class MitsubaRenderer:
             "chdstat_version": importlib.metadata.version("chdstat"),
             "filter": "box",
             "streams": STREAMS,
-            "units": "linear radiance",
+            "units": "pixels" if job.film else "linear radiance",
+            **({FILM_STEPS: STEPS} if job.film else {}),
             "notes": self.notes,
             "render_seconds": 0.0,
         }
@@ -174,10 +198,6 @@ class MitsubaRenderer:
         self._local.costs = None
         with self._telling():
             block = self._drawn(chunk, before_pass)
-        if self.job.film:
-            from chdstat.rendering.film_places import in_steps
-
-            block = in_steps(block)
         if chunk.missing is not None:
             block = np.where(chunk.missing[:, :, np.newaxis], block, np.float32(np.nan))
         if self.job.light is None:
@@ -449,27 +469,34 @@ class MitsubaRenderer:
 
     def _chunk_scalar(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         height, width, samples = chunk.shape
-        corner, extent = (chunk.xs.start, chunk.ys.start), (width, height)
-        scene, sensor, integrator = self._scene, self._sensor(corner, extent), self._integrator
+        numbers = range(chunk.ss.start, chunk.ss.stop)
         if self.job.film:
-            from chdstat.rendering import film_places
+            from chdstat.rendering.film_places import of_passes
 
-            scene, sensor, integrator = film_places.square(self._mi, extent)
+            firsts = [self._streams.of_pass(chunk, i) * width * height for i in numbers]
+            return of_passes(self._stream_numbers((width, height)), firsts)
+        sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
         block = np.empty((samples, height, width, 3), np.float32)
-        clock = None
+        integrator, clock = self._integrator, None
         if self.job.cost:
             clock = SampleClock(self._mi, sensor, self._sensor_medium, (height, width))
-        for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
+        for i, sample in enumerate(numbers):
             seed = self._streams.of_pass(chunk, sample)
             before_pass()
             with clock.of_pass(sample) if clock else contextlib.nullcontext(sensor) as used:
-                drawn = integrator.render(scene, used, seed=seed, spp=1)
-            block[i] = np.asarray(drawn)[..., -3:]  # positions come last
+                block[i] = integrator.render(self._scene, used, seed=seed, spp=1)
             if integrator.should_stop():
                 raise Interrupted
         self._local.costs = clock and clock.costs
-        samples_last = np.ascontiguousarray(block.transpose(1, 2, 3, 0))
-        return film_places.of_square(samples_last) if self.job.film else samples_last
+        return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
+
+    def _stream_numbers(self, extent: tuple[int, int]) -> npt.NDArray[np.int64]:
+        """Return the order in which scalar passes number the pixels of a tile."""
+        from chdstat.rendering.film_places import stream_numbers
+
+        if extent not in self._orders:
+            self._orders[extent] = stream_numbers(self._mi, extent)
+        return self._orders[extent]
 
     def _pixel_scalar(self, number: int, y: int, x: int, count: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})

@@ -239,10 +239,10 @@ def render(
     if client is not None:
         _check_portable(job)
     check_seconds(seconds)
-    if seconds is not None and (depths or by_light or film or how):
+    if seconds is not None and (depths or by_light or how):
         message = (
-            "seconds= is for samples alone: direct=, by_depth=, by_light= and film= draw them "
-            "again, and an adaptive render decides from all that it draws; leave one of them out"
+            "seconds= is for samples alone: direct=, by_depth= and by_light= draw them again, and "
+            "an adaptive render decides from all that it draws; leave one of them out"
         )
         raise InputError(message)
     work: Work = {"client": client, "progress": progress}
@@ -305,10 +305,11 @@ def _captured(
 ) -> Samples:
     """Render a job, and again for each part of its light."""
     spp = job.options["spp"]
-    renderer = checked_renderer(job, kept=spp * (1 + len(depths) + len(lights)), out=out)
+    kept = spp * (1 + len(depths) + len(lights)) + (spp // 3 if film else 0)  # half floats, two
+    renderer = checked_renderer(job, kept=kept, out=out)
     renderer.check_lights(lights)
-    partial: dict[LightPart, Job] = {FILM: replace(renderer.job, film=True)} if film else {}
-    partial |= _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
+    of_film = renderer.for_film() if film else None
+    partial = _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
     partial = {which: replace(of_part, cost=False) for which, of_part in partial.items()}
     with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
         is_less = spp < writer.attrs["spp"] and (how is None or how.error is None)
@@ -319,16 +320,29 @@ def _captured(
             _fill(renderer, writer, work, seconds)
         if how is not None:
             _AdaptiveRender(how, renderer, writer, work).finish()
-        parts = {}
+        parts = dict[LightPart, Samples]()
+        if of_film is not None:
+            parts[FILM] = _part(of_film, FILM, writer, out, how, work)
+        del renderer, of_film  # kernels are frozen where one scene is alive only
         for which, of_part in partial.items():
-            del renderer  # kernels are frozen where one scene is alive only
-            renderer = MitsubaRenderer(of_part)
-            with _writer(renderer, out and out / part_folder(which), how) as part:
-                if writer.density is not None:
-                    part.decide(writer.density, writer.attrs["spp"], writer.attrs["noise"])
-                _fill(renderer, part, work)
-                parts[which] = part.finish()
+            parts[which] = _part(MitsubaRenderer(of_part), which, writer, out, how, work)
         return writer.finish(parts)
+
+
+def _part(
+    renderer: MitsubaRenderer,
+    which: LightPart,
+    whole: Writer,
+    out: Path | None,
+    how: Adaptive | None,
+    work: Work,
+) -> Samples:
+    """Render a part of the samples that there are."""
+    with _writer(renderer, out and out / part_folder(which), how) as part:
+        if whole.density is not None:
+            part.decide(whole.density, whole.attrs["spp"], whole.attrs["noise"])
+        _fill(renderer, part, work, like=whole)
+        return part.finish()
 
 
 @dataclass
@@ -609,14 +623,23 @@ def _features_restored(renderer: MitsubaRenderer, writer: Writer, work: Work) ->
 
 
 def _fill(
-    renderer: MitsubaRenderer, writer: Writer, work: Work, seconds: float | None = None
+    renderer: MitsubaRenderer,
+    writer: Writer,
+    work: Work,
+    seconds: float | None = None,
+    like: Writer | None = None,
 ) -> None:
-    """Render what is missing, or what comes in some time, and write each chunk as it arrives."""
+    """Render what is missing, or what comes in some time, and write each chunk as it arrives.
+
+    With `like`, only chunks are rendered that it holds.
+    """
     chunks = writer.ledger.pending()
+    if like is not None:
+        chunks = [chunk for chunk in chunks if like.ledger.held[chunk.index]]
     if not chunks:
         return
     start, name = time.monotonic(), renderer.job.scene.name
-    samples = writer.ledger.lacking
+    samples = writer.ledger.lacking if like is None else sum(c.size for c in chunks)
     # This process adds the missing samples of chunks to the existing ones.
     store = writer if isinstance(writer, Store) and writer.adaptive is None else None
     with track(f"rendering {name}", samples, unit="S", show=work["progress"]) as advance:

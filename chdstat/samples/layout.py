@@ -11,7 +11,8 @@ The group::
                         where samples were timed, costs (y, x, 3): how many, mean, sum of squares
     direct/             a store of its own: emission and direct light of the same samples
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
-    film/               likewise where in its pixel each sample fell, (y, x, 2, sample)
+    film/               likewise where in its pixel each sample fell, (y, x, 2, sample), uint8: 16
+                        steps across and 16 down; 255 where there is no sample
     .lock               while a process writes
 
 A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, which is always replaced
@@ -58,6 +59,7 @@ from chdstat._core.files import (
     tail,
 )
 from chdstat.errors import StoreError
+from chdstat.samples.film_steps import NO_STEP
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, FILM, TILE, Chunk, LightPart
 
 BLOCK = 16
@@ -210,6 +212,19 @@ def radiance_metadata(shape: Sequence[int], attributes: Mapping[str, Any]) -> di
     codecs = [{"name": "sharding_indexed", "configuration": shard}]
     names = ["y", "x", "channel", "sample"]
     return _array_metadata(shape, [TILE, TILE, shape[2], BATCH], codecs, names, attributes)
+
+
+def film_metadata(shape: Sequence[int], attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metadata of the places in their pixels where samples fell.
+
+    They are random numbers, which zstd packs without their unused bits, fastest in large blocks.
+    """
+    made = radiance_metadata(shape, attributes)
+    shard = made["codecs"][0]["configuration"]
+    blosc = {**shard["codecs"][1]["configuration"], "typesize": 1}
+    shard["chunk_shape"] = [TILE, TILE, shape[2], BATCH]
+    shard["codecs"] = [{"name": "bytes"}, {"name": "blosc", "configuration": blosc}, _CRC]
+    return {**made, "data_type": "uint8", "fill_value": NO_STEP}
 
 
 def feature_metadata(shape: Sequence[int]) -> dict[str, Any]:

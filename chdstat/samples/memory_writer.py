@@ -11,6 +11,7 @@ import numpy as np
 from chdstat._core.arrays import Image
 from chdstat._core.work import check_memory
 from chdstat.samples.costs import COSTS, SampleCosts, with_times
+from chdstat.samples.film_steps import FILM_STEPS, in_steps
 from chdstat.samples.layout import GUIDE
 from chdstat.samples.ledger import Ledger, counts_of
 from chdstat.samples.samples import Samples
@@ -32,7 +33,8 @@ class MemoryWriter:
         self.attrs, self._features = dict(attrs), dict[str, Image]()
         self.density: Image | None = None
         self._costs: SampleCosts | None = None
-        self._array = np.full(shape, np.nan, np.float32)
+        self._kind: Any = np.float16 if FILM_STEPS in attrs else np.float32
+        self._array = np.full(shape, np.nan, self._kind)
         counts = np.full(shape[:2], shape[3], np.int32) if "adaptive" in attrs else None
         self.ledger = Ledger(shape, counts)
 
@@ -43,8 +45,9 @@ class MemoryWriter:
     def write(self, chunk: Chunk, block: Image) -> None:
         """Keep the samples of a chunk."""
         held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
+        kept: Any = in_steps(block) if FILM_STEPS in self.attrs else block
         where = True if chunk.missing is None else chunk.missing[:, :, np.newaxis]
-        np.copyto(held, block, where=where)
+        np.copyto(held, kept, where=where)
         self.ledger.note(chunk)
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
@@ -70,7 +73,7 @@ class MemoryWriter:
         shape = (*self.ledger.shape[:3], int(counts.max()))
         what = f"up to {shape[3]} samples for each of {shape[1]} x {shape[0]} pixels"
         check_memory(4 * math.prod(shape), what, "give a store to write to, or use fewer samples")
-        self._array = np.full(shape, np.nan, np.float32)
+        self._array = np.full(shape, np.nan, self._kind)
         self._array[..., : first.shape[3]] = first
         self.ledger = self.ledger.grown(shape, counts)
 

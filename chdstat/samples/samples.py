@@ -279,7 +279,7 @@ class Samples:
     def film(self) -> Samples | None:
         """Where in its pixel each sample fell, (y, x, 2, sample); None if unknown.
 
-        The two numbers go from 0 to 1, across and down, in steps of 1/64.
+        The two numbers go from 0 to 1, across and down: the middle of one of 16 steps.
         """
         return self._parts.get(FILM)
 
@@ -481,7 +481,7 @@ class Samples:
             If the store on disk is damaged.
         """
         if isinstance(self._held, np.ndarray):
-            return self._held[ys, xs, :, ss]
+            return np.asarray(self._held[ys, xs, :, ss], np.float32)  # places are half as long
         parts = [whole[part] for whole, part in zip(self.part, (ys, xs, ss), strict=True)]
         size = 4 * self.shape[2] * math.prod(map(len, parts))
         if size > _ALWAYS_READ:

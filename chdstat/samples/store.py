@@ -47,6 +47,7 @@ from chdstat.samples.dependence import (
     check_single,
     sequence_of,
 )
+from chdstat.samples.film_steps import FILM_STEPS, of_steps, to_steps
 from chdstat.samples.layout import FOREIGN, DamageError, is_store
 from chdstat.samples.ledger import Ledger, PixelCounts, counts_of
 from chdstat.samples.samples import ImageLike, Samples
@@ -251,10 +252,18 @@ class Store:
         """Make the arrays that decode and encode chunks, without reading."""
         from zarr.storage import MemoryStore
 
-        metadata = layout.radiance_metadata(self.shape, {})
+        metadata = self._layout_of({})
         self._radiance = layout.array(zarr_store(self.path), "radiance", metadata)
         self._encoded: dict[str, Any] = {}
         self._encoder = layout.array(MemoryStore(self._encoded), "radiance", metadata)
+
+    @property
+    def _is_film(self) -> bool:
+        return FILM_STEPS in self._attributes
+
+    def _layout_of(self, attributes: Mapping[str, Any]) -> dict[str, Any]:
+        of_kind = layout.film_metadata if self._is_film else layout.radiance_metadata
+        return of_kind(self.shape, attributes)
 
     def pending(self) -> list[Chunk]:
         """Return the chunks that are not safely stored yet, in the order of rendering."""
@@ -314,7 +323,8 @@ class Store:
             for chunk in self.ledger.chunks(ys, xs, ss):
                 if self.ledger.held[chunk.index]:
                     self._check(chunk)
-            return np.asarray(self._radiance[ys, xs, :, ss], dtype=np.float32)
+            found = self._radiance[ys, xs, :, ss]
+            return of_steps(found) if self._is_film else np.asarray(found, dtype=np.float32)
         except FOREIGN as error:
             files = [self.chunk_file(c) for c in self._damaged_chunks(ys, xs, ss)]
             raise self._damage(files, layout.brief(error)) from error
@@ -429,7 +439,7 @@ class Store:
         features = {k: v for k, v in self._manifest["features"].items() if k != COSTS}
         copy["manifest"] = {**self._manifest, "features": features}
         yield "zarr.json", layout.group_metadata(layout.signed(self._attributes))
-        yield "radiance/zarr.json", layout.radiance_metadata(self.shape, layout.signed(copy))
+        yield "radiance/zarr.json", self._layout_of(layout.signed(copy))
         features = self._manifest["features"]
         if features:
             yield "features/zarr.json", layout.group_metadata({})
@@ -448,7 +458,7 @@ class Store:
 
     def put(self, chunk: Chunk, block: Image) -> None:
         """Write the file of one chunk, as any process may."""
-        self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = block
+        self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = to_steps(block) if self._is_film else block
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
         with layout.disk_errors(self.path):

@@ -16,7 +16,7 @@ from chdstat.samples.store import Store
 from tests.stops import stopped
 
 W, H = 70, 66
-STEP = 1 / 64
+STEP = 1 / 16
 
 
 def ramp(*, step: bool = False) -> dict[str, Any]:
