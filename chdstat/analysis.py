@@ -56,6 +56,7 @@ from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import BODIES, PATTERNS, Thresholds
+from chdstat.patterns.film_splits import VarianceByPlace, film_statistic
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
 from chdstat.samples.assembly import assemble
 from chdstat.samples.samples import SampleStream
@@ -71,7 +72,7 @@ if TYPE_CHECKING:
     from chdstat.samples import Samples
 
 _PREFIXED = (
-    *("modality", "normality", "averages"),
+    *("modality", "normality", "averages", "film"),
     *("luminance_logarithms", "luminance_averages"),
 )
 """Stages whose variables begin with the stage's name."""
@@ -134,6 +135,7 @@ def analyze(
         ``modality_``           `modality`
         ``normality_``          `gaussianity`
         ``averages_``           `gaussianity_of_means`; absent if there are too few samples
+        ``film_``               `patterns.film_split`; absent without places of samples
         ``lognormal_mixture_``  `fit.mixture` with log-normal components, searched as for modes
         ``best_goodness_``      `fit.goodness` for the best family of each pixel
         ======================  ==========================================================
@@ -194,8 +196,9 @@ def analyze(
         "normality": Normality(("log", "sqrt", "linear"), tuple(TESTS)),
         "patterns": Classification(thresholds),
         "averages": NormalityOfMeans.of_pixel(samples.spp),
+        "film": film_statistic(samples),
     }
-    own = {type(statistic) for statistic in statistics.values()}
+    own = {VarianceByPlace, *(type(statistic) for statistic in statistics.values())}
     others = {k.__name__: k.of_pixel(samples.spp) for k in shown_statistics() if k not in own}
     statistics |= others
     known = thresholds, held_out, resamples, seed, *filter(None, others.values())
@@ -222,6 +225,7 @@ def patterns_of(
         "patterns": Classification(),
         "luminance_logarithms": _LuminanceNormality(),
         "luminance_averages": _LuminanceAverages.of_pixel(samples.spp),
+        "film": film_statistic(samples),
     }
     if families:
         statistics |= {
@@ -253,7 +257,9 @@ def _measured(
         work["checkpoint"] = kept
         summary = summarize(samples, **work)
         of_block = functools.partial(_of_block, statistics)
-        found = samples.map(of_block, logarithms=True, description="analysing", **work)
+        film = any(statistic.film for statistic in statistics.values())
+        kinds: Any = {"logarithms": True, "film": film, "description": "analysing"}
+        found = samples.map(of_block, **kinds, **work)
     # Parts count the same samples; the summary decides about nulls and bad samples.
     merged = xr.merge(
         [summary, *_finished(found, statistics)],
@@ -268,12 +274,15 @@ def _measured(
     return merged.assign_attrs(summary.attrs)
 
 
-def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
+def _of_block(
+    statistics: Mapping[str, Statistic[Any]], block: Image, places: Image | None = None
+) -> Mapped:
     """Return the variables of all statistics for a tile, by stage."""
     if all(statistic.rows == "luminance" for statistic in statistics.values()):
-        rows: dict[str, Part] = {"luminance": PositivePart.of_pixels(block, rows="luminance")}
+        part = PositivePart.of_pixels(block, rows="luminance", places=places)
+        rows: dict[str, Part] = {"luminance": part}
         return _variables(statistics, rows)
-    both = PositivePart.of_pixels(block, rows="both")
+    both = PositivePart.of_pixels(block, rows="both", places=places)
     # Statistics of channels and of luminance share their work.
     shared = {"selection": FamilySelection(), "tail": TailIndex(), "mixture": ModalMixture()}
     for stage, statistic in shared.items():

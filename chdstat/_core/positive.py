@@ -17,7 +17,7 @@ spp. A streamed render can thus be fitted without its samples. It does not know 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, Self, TypeAlias
 
@@ -27,6 +27,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import (
     Counts,
     Floats,
+    Image,
     Mask,
     as_samples,
     chunks,
@@ -136,6 +137,9 @@ class PositivePart(_Rows):
     n, n_null, n_zero, n_negative, n_bad
         Numbers of samples, shape (...): positive; null; zero in one channel of a sample that is not
         null; negative; bad. They add up to the number of samples.
+    places
+        Where in its pixel each sample fell, across and down from 0 to 1, each of the shape of `x`;
+        None if unknown.
     """
 
     x: npt.NDArray[np.floating[Any]]
@@ -145,6 +149,7 @@ class PositivePart(_Rows):
     n_zero: Counts
     n_negative: Counts
     n_bad: Counts
+    places: tuple[Image, Image] | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(
@@ -180,12 +185,13 @@ class PositivePart(_Rows):
         block: npt.NDArray[np.floating[Any]],
         *,
         rows: Literal["channels", "luminance", "both"] = "channels",
+        places: Image | None = None,
     ) -> PositivePart:
         """Split samples by whole samples, shape (..., channel, sample).
 
         A sample is null if all its channels are 0, and bad if any is bad. The rows of the part are
         the channels; or only the luminance, shape (..., sample); or both, with luminance last. A
-        single channel is its own luminance.
+        single channel is its own luminance. `places` says where samples fell, (..., 2, sample).
 
         Raises
         ------
@@ -194,11 +200,17 @@ class PositivePart(_Rows):
         """
         null, bad = is_null(block), np.asarray(is_bad(block).any(axis=-2))
         if rows == "luminance":
-            return cls.of(_luminance(block), null=null, bad=bad)
-        x = block
-        if rows == "both" and block.shape[-2] > 1:
-            x = np.concatenate([block, _luminance(block)[..., np.newaxis, :]], axis=-2)
-        return cls.of(x, null=null[..., np.newaxis, :], bad=bad[..., np.newaxis, :])
+            part = cls.of(_luminance(block), null=null, bad=bad)
+        else:
+            x = block
+            if rows == "both" and block.shape[-2] > 1:
+                x = np.concatenate([block, _luminance(block)[..., np.newaxis, :]], axis=-2)
+            part = cls.of(x, null=null[..., np.newaxis, :], bad=bad[..., np.newaxis, :])
+        if places is None:
+            return part
+        of_rows = places if rows == "luminance" else places[..., np.newaxis, :, :]
+        across, down = (np.broadcast_to(of_rows[..., i, :], part.x.shape) for i in (0, 1))
+        return replace(part, places=(across, down))
 
     @cached_property
     def log_statistics(self) -> LogStatistics:

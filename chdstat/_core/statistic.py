@@ -182,6 +182,8 @@ class Statistic(Generic[Found]):
         Whether it also takes log histograms.
     logarithms
         Whether it leaves out negative samples.
+    film
+        Whether it needs where samples fell in their pixel.
     prefix
         Prefix of the names of its variables. {} stands for the `subject`, in it, in labels and in
         `description`.
@@ -197,6 +199,7 @@ class Statistic(Generic[Found]):
     rows: ClassVar[Literal["channels", "luminance"]] = "channels"
     binned: ClassVar[bool] = False
     logarithms: ClassVar[bool] = True
+    film: ClassVar[bool] = False
     prefix: ClassVar[str] = ""
     around: ClassVar[frozenset[str]] = frozenset()
     quantities: ClassVar[tuple[Quantity, ...]] = ()

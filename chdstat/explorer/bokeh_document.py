@@ -31,11 +31,12 @@ from chdstat._core.image_scales import tonemap
 from chdstat.explorer.address import BATCH_SIZES, FITS, LOOKS
 from chdstat.explorer.export import EXPORTS
 from chdstat.explorer.image_sources import AnySource, StoreSource
-from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
+from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, OF_FILM, Map, ramp
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.patterns import Label
 from chdstat.patterns.cures import renderer_of
+from chdstat.samples import Samples
 from chdstat.viz.styling import MAGNITUDES, SIGNED, bar_ticks, called
 
 T = TypeVar("T")
@@ -109,7 +110,7 @@ class Page:
             document.template = _template()
             document.config.notify_connection_status = False  # the shell says it
             document.config.reconnect_session = False  # it loads the page again
-            stores = [s.samples.attrs for s in sources if isinstance(s, StoreSource)]
+            stores = [s.samples for s in sources if isinstance(s, StoreSource)]
             variables = self._variables(given, stores)
             variables |= {"heading": heading, "coarse": coarse}
             document.template_variables.update(variables)
@@ -192,18 +193,19 @@ class Page:
             code = f"window.chdstat.{call}(cb_obj)"
             image["figure"].js_on_event(event, models.CustomJS(code=code))
 
-    def _variables(
-        self, given: Mapping[str, Map], stores: Sequence[Mapping[str, Any]]
-    ) -> dict[str, Any]:
-        """Return what the template of the shell is filled with; `stores` have attributes each."""
-        drawn = stores[0] if len(set(map(renderer_of, stores))) == 1 else {}
+    def _variables(self, given: Mapping[str, Map], stores: Sequence[Samples]) -> dict[str, Any]:
+        """Return what the template of the shell is filled with, for samples of these stores."""
+        about = [samples.attrs for samples in stores]
+        drawn = about[0] if len(set(map(renderer_of, about))) == 1 else {}
+        known = MAPS if stores else IMAGES
+        left = OF_FILM if all(samples.film is None for samples in stores) else set[str]()
         channels = [(str(i), name) for i, name in enumerate(self._channels)]
         return {
             "style": _web("page.css"),
             "script": _web("page.js"),
             "aspect": self._size[1] / self._size[0],
             "exports": list(EXPORTS),
-            "maps": [(k.name, k.title) for k in MAPS.values() if stores or k.name in IMAGES],
+            "maps": [(k.name, k.title) for k in known.values() if k.name not in left],
             "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
             "cmaps": {"cmap": MAGNITUDES, "signed": SIGNED},
             "light": LIGHT,

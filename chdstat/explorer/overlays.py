@@ -156,6 +156,8 @@ IMAGES = _table(
 """Maps that come with the image, a scene's too; attributes of an `Overall`."""
 MAPS = IMAGES | {name: shown for name, (shown, _) in _of_statistics(MOST_POOLED).items()}
 """Those, and maps for which samples are read: statistics of the luminance, for `walk`."""
+OF_FILM = {n for n, (_, statistic) in _of_statistics(MOST_POOLED).items() if statistic.film}
+"""Maps that need to know where samples fell in their pixel."""
 _BRUSH = Map(BRUSHED, "Samples in the range", "share of the good samples", log=True)
 DIFFERENCES = _table(
     Map("diff:signed", "Difference", "shown minus reference, luminance", lambda a, b: b - a,
@@ -270,6 +272,12 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
     if name not in (known := _of_statistics(source.samples.spp)):  # too few samples for it
         yield 1.0, values
         return
+    if name in OF_FILM and source.samples.film is None:
+        message = (
+            f"{known[name][0].title!r} needs to know where samples fell: render the scene with "
+            "'chdstat render --film'"
+        )
+        raise InputError(message)
     shown, statistic = known[name]
     places = list(product(*(spans(length, _TILE) for length in source.size)))
     # Coarsely first, a pixel for each cell, which takes little more than reading.
@@ -278,7 +286,10 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
         for i, (ys, xs) in enumerate(places):
             yield before + share * i / len(places), values
             block = np.ascontiguousarray(source.read(ys, xs)[::step, ::step])
-            found = measured(PositivePart.of_pixels(block, rows="luminance"), statistic)
+            fell = source.samples.places(ys, xs) if statistic.film else None
+            fell = None if fell is None else fell[::step, ::step]
+            part = PositivePart.of_pixels(block, rows="luminance", places=fell)
+            found = measured(part, statistic)
             cells = shown.filled(shown.of(found)).values if shown.of else values[ys, xs]
             height, width = values[ys, xs].shape
             values[ys, xs] = cells.repeat(step, 0).repeat(step, 1)[:height, :width]

@@ -205,6 +205,8 @@ class SelectionResults:
         for (name, title), rows in zip(titles.items(), light, strict=True):
             if rows:
                 found[name] = self._of(plots, tables.light_table(title, rows))
+        if plots.place.means_by_place is not None:
+            found["places"] = self._of(plots, tables.places_table(plots.place))
         _, reference = plots.view.of_images(len(workspace.sources))
         if reference in plots.found and reference != plots.index:
             names = workspace.names[reference], plots.name

@@ -17,6 +17,7 @@ from chdstat.comparison import DEFAULT_ESTIMATORS, ImageErrors
 from chdstat.errors import Reason
 from chdstat.explorer.address import row_of
 from chdstat.explorer.batch_estimates import PlaceEstimates
+from chdstat.explorer.overlays import ramp
 from chdstat.fit import Goodness
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import Difference
@@ -285,6 +286,26 @@ def light_table(title: str, rows: Sequence[Mapping[str, str | float]]) -> Table:
         for row in rows
     ]
     return _table(title, columns, cells, "")
+
+
+def places_table(place: Pixel) -> Table:
+    """Return the mean luminance by place in a pixel, of samples that say where they fell.
+
+    ``shades`` has, for each cell, a colour that follows the mean, and one of text on it.
+    """
+    means, counts = place.means_by_place or (np.full((1, 1, 1), np.nan), np.zeros((1, 1), int))
+    shown, k = means[-1], len(counts)
+    low, high = np.nanmin(shown), np.nanmax(shown)
+    level = np.nan_to_num((shown - low) / (high - low if high > low else 1.0))
+    colors = ramp()
+    shades = [[(colors[int(255 * v)], "#fff" if v < 0.6 else "#000") for v in row] for row in level]
+    ends = ["left", *[""] * (k - 2), "right"]
+    sides = ["top", *[""] * (k - 2), "bottom"]
+    rows = [[side, *(number(v, 2) for v in row)] for side, row in zip(sides, shown, strict=True)]
+    told = place.variance_by_place
+    note = f"about {counts.mean():.0f} samples in each cell"
+    note = f"{note}. Of the variance, {told}." if told else note
+    return {**_table("Luminance by place in the pixel", ["", *ends], rows, note), "shades": shades}
 
 
 # --- cells --------------------------------------------------------------------------------------

@@ -229,13 +229,15 @@ _AnyPart = TypeVar("_AnyPart", bound=Part)
 
 
 def take_part(part: _AnyPart, rows: npt.NDArray[np.intp]) -> _AnyPart:
-    """Select some rows of the flattened batch."""
+    """Select some rows of the flattened batch; of samples in any order, their places are left."""
 
     def taken(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         trailing = values.shape[part.n.ndim :]
         return batch_rows(np.broadcast_to(values, part.n.shape + trailing), part.n.shape, rows)
 
-    return type(part)(**{field.name: taken(getattr(part, field.name)) for field in fields(part)})
+    names = [field.name for field in fields(part) if field.name != "places"]
+    kept: dict[str, Any] = {name: taken(getattr(part, name)) for name in names}
+    return type(part)(**kept)
 
 
 def halves_of(part: PositivePart, rows: npt.NDArray[np.intp]) -> PositivePart:

@@ -10,16 +10,20 @@ cell counts as of the paths.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
-from chdstat._core.arrays import Floats, first_of, is_bad, label_variables, luminance
+from chdstat._core.arrays import Counts, Floats, first_of
+from chdstat._core.display import percent, reasons, step_of, with_interval
+from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
+from chdstat._core.statistic import MapKind, Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
-from chdstat.samples import ImageLike, Mapped, Samples, samples_of
-from chdstat.samples.assembly import over_tiles
-from chdstat.samples.tiles import tiles
+from chdstat.samples import ImageLike, Samples, samples_of
+from chdstat.summary.runner import run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,31 +33,132 @@ _IN_A_CELL = 12
 _CELLS = 2, 4, 8, 16
 """Cells along the edge of a pixel; no step of the places that are kept lies in two of them."""
 _GROUPS = 8
-"""Groups of samples, each of which is left out once for the standard error."""
-_SAID = {
-    "variance": "variance of a sample",
-    "paths": "variance of a sample at a fixed place in the pixel",
-    "places": "variance between places in the pixel",
-    "places_error": "standard error of the variance between places",
-    "reason": "why the variance is not split",
-}
+"""Groups of samples, each of which is left out once for standard errors."""
+_T = float(special.stdtrit(_GROUPS - 1, 0.975))
+"""Half of an interval at 95 %, in standard errors."""
+_LEVEL = 0.05
+"""False discovery rate over an image, and level of one pixel."""
+_MOST_SEEN = 8
+"""Most cells along each edge of a pixel of which a picture shows the means."""
+_UNIT = "(W sr-1 m-2)2"
 
 
-class FilmSplit(NamedTuple):
-    """The variance of the samples of pixels, and its two parts.
+@result
+class FilmSplit(Result):
+    """The variance of the samples of pixels, and its two parts; NaN where `reason` says why.
 
     Attributes
     ----------
+    variance
+        Variance of a sample.
     paths, places
         Mean variance within the cells of the pixel, and variance between their means. Noise may
         make the latter negative.
     places_error
         Standard error of `places`.
+    share, share_interval
+        Share of `places` in the sum of both, and its 95 % interval, shape (..., 2). Where samples
+        miss rare bright paths, which belong to `paths`, only the upper end holds.
+    p_value
+        Of radiance that does not depend on the place.
     """
 
-    paths: Floats
-    places: Floats
-    places_error: Floats
+    variance: Floats = variable("variance of a sample", unit=_UNIT)
+    paths: Floats = variable("variance of a sample at a fixed place in the pixel", unit=_UNIT)
+    places: Floats = variable("variance between places in the pixel", unit=_UNIT)
+    places_error: Floats = variable("standard error of the variance between places", unit=_UNIT)
+    share: Floats = variable("share of the variance that is between places in the pixel")
+    share_interval: Floats = variable("95 % interval of the share between places", "bound")
+    p_value: Floats = variable(
+        "p-value of radiance that does not depend on the place in the pixel", pooled=True,
+        rejected="whether radiance depends on the place in the pixel",
+    )  # fmt: skip
+    reason: npt.NDArray[np.int8] = variable("why the variance is not split")
+
+    def in_words(self, row: int, *, holds: bool = True) -> str:
+        """Return what a row's variance comes from; `holds` says whether its error bar is trusted.
+
+        Examples
+        --------
+        >>> rng = np.random.default_rng(0)
+        >>> places = rng.random((1, 2, 1024))
+        >>> x = 4.0 * (places[:, 0] > 0.5) + rng.gamma(2.0, size=(1, 1024))
+        >>> split_by_place(x, places, 8).in_words(0).partition("]")[2][:41]
+        ' is the picture changing within the pixel'
+        """
+        if self.reason[row] != Reason.OK:
+            return f"cannot be told: {reasons(self.reason[row])}"
+        low, high = map(float, self.share_interval[row])
+        step = step_of(low, high)
+        most = percent(high, step=step)
+        if self.p_value[row] > _LEVEL:
+            return f"no change of the picture within the pixel is seen: at most {most} of it"
+        share = with_interval(max(float(self.share[row]), 0.0), low, high, percent)
+        if holds:
+            return (
+                f"{share} is the picture changing within the pixel, which samples that are spread "
+                "over it take away; the rest is of paths"
+            )
+        return (
+            f"{share} of what the samples show is the picture changing within the pixel; bright "
+            f"paths that they may miss would leave less: at most {most}"
+        )
+
+
+def _in_words(found: FilmSplit, row: int) -> str:
+    low, high = map(float, found.share_interval[row])
+    return with_interval(float(found.share[row]), low, high, percent)
+
+
+@dataclass(frozen=True)
+class VarianceByPlace(Statistic[FilmSplit]):
+    """How much of the variance is between places in the pixel, for so many cells along its edges.
+
+    `alpha` is the false discovery rate over an image.
+    """
+
+    result: ClassVar = FilmSplit
+    description: ClassVar = "splitting the variance"
+    rows: ClassVar = "luminance"
+    logarithms: ClassVar = False
+    film: ClassVar = True
+    quantities: ClassVar = (Quantity("of the variance, within the pixel", _in_words),)
+
+    cells: int = 4
+    alpha: float = _LEVEL
+
+    @classmethod
+    def of_pixel(cls, spp: int) -> Self | None:
+        """Return the statistic for as many cells as so many samples tell apart."""
+        return cls(_cells_for(spp)) if spp >= 2 * min(_CELLS) ** 2 else None
+
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return the share of the variance that is between places, where that is significant."""
+
+        def significant(found: FilmSplit) -> Floats:
+            return np.where(found.p_value <= self.alpha, found.share, np.nan)
+
+        unit = "share of the variance of luminance"
+        title, decided = "Variation within the pixel", "share_told"
+        return (MapKind("film", title, unit, significant, ends=(0, 1), decided=decided),)
+
+    def attrs(self) -> dict[str, Any]:
+        """Return the number of cells along each edge."""
+        return {"cells": self.cells}
+
+    def measure(self, part: PositivePart) -> FilmSplit:
+        """Split the variance of each row."""
+        assert part.places is not None, "run and its callers give places to statistics of film"
+        return split_by_place(part.x, np.stack(part.places, axis=-2), self.cells)
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Also say where the share is significant over the image."""
+        found = super().finish(dataset)
+        told = found["share"].where(found["rejected"] == 1)
+        return found.assign(share_told=told.assign_attrs(long_name=_TOLD, units="1"))
+
+
+_TOLD = "share of the variance that is between places in the pixel, where it is significant"
 
 
 def film_split(
@@ -76,7 +181,11 @@ def film_split(
     xarray.Dataset
         ``variance`` of a sample, ``paths``, ``places`` and ``places_error``, all (y, x) in squared
         radiance; NaN where ``reason`` says why. The parts add up to the variance within their
-        noise. ``attrs["cells"]`` is k.
+        noise. ``share`` is that of ``places``, with a 95 % ``share_interval`` (bound) by leaving
+        groups of samples out; where samples miss rare bright paths, only its upper end holds.
+        ``p_value`` is of radiance that does not depend on the place. ``share_told`` is the share
+        where that is rejected over the image, at a false discovery rate of 5 %.
+        ``attrs["cells"]`` is k.
 
     Raises
     ------
@@ -93,55 +202,62 @@ def film_split(
     >>> import chdstat as chd
     >>> scene = {"scene": "cornell-box", "spp": 64, "size": (8, 8), "backend": "scalar"}
     >>> found = film_split(chd.render(**scene, film=True))
-    >>> found.attrs["cells"], sorted(found.data_vars)
-    (2, ['paths', 'places', 'places_error', 'reason', 'variance'])
+    >>> found.attrs["cells"], found["share"].shape, float(found["share"][4, 4]) < 1
+    (2, (8, 8), True)
     """
     image = samples_of(samples)
-    if image.film is None:
-        message = "these samples do not say where they fell; render them with film=True (--film)"
-        raise InputError(message)
-    k = _cells_for(image.film.spp) if cells is None else cells
+    spp = image.spp if image.film is None else image.film.spp
+    k = _cells_for(spp) if cells is None else cells
     if k not in _CELLS:
         message = f"cells must be one of {', '.join(map(str, _CELLS))}, got {cells!r}"
         raise InputError(message)
-    if image.film.spp < 2 * k * k:
-        message = f"expected at least {2 * k * k} samples for {k} x {k} cells, got {image.film.spp}"
+    if spp < 2 * k * k:
+        message = f"expected at least {2 * k * k} samples for {k} x {k} cells, got {spp}"
         raise InputError(message)
+    statistic: Statistic[Any] = VarianceByPlace(k)
+    found: xr.Dataset = run(statistic, image, progress=progress)
+    return found
 
-    def of_tile(tile: Samples, _: object) -> Mapped:
-        assert tile.film is not None, "parts are cut like their samples"
-        block, places = tile.read(ss=slice(tile.film.spp)), tile.film.read()
-        bad = is_bad(block).any(axis=2) | np.isnan(places).any(axis=2)
-        x = np.where(bad, np.nan, luminance(block.astype(np.float64)))
-        count = (~bad).sum(axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            total = np.nansum(x, axis=-1)
-            deviations = np.where(bad, 0, x - (total / count)[..., np.newaxis])
-            variance = (deviations**2).sum(axis=-1) / (count - 1)
-        found = split_by_place(x, places, k)
-        reason = first_of(
-            {
-                Reason.ALL_BAD: count == 0,
-                Reason.ALL_NULL: (total == 0) & (variance == 0),
-                Reason.TOO_FEW: ~np.isfinite(found.places_error),
-            }
-        )
-        usable = reason == Reason.OK
-        named = {"variance": variance, **found._asdict()}
-        maps: Mapped = {
-            name: ((), np.where(usable, value, np.nan).astype(np.float32))
-            for name, value in named.items()
-        }
-        return {**maps, "reason": ((), reason)}
 
-    split = over_tiles(
-        image,
-        of_tile,
-        tiles(image.shape),
-        description="splitting the variance",
-        progress=progress,
-    )
-    return label_variables(split, _SAID).assign_attrs(cells=k)
+def film_statistic(samples: Samples) -> VarianceByPlace | None:
+    """Return the statistic for samples; None if they do not say where they fell, or are too few."""
+    return None if samples.film is None else VarianceByPlace.of_pixel(samples.film.spp)
+
+
+def means_by_place(
+    x: npt.NDArray[np.floating], places: npt.NDArray[np.floating]
+) -> tuple[Floats, Counts]:
+    """Return mean radiance by the cell of a pixel in which samples fell, and how many did.
+
+    Parameters
+    ----------
+    x
+        Samples of a pixel, shape (row, sample); NaN or infinite for bad ones.
+    places
+        Where they fell, from 0 to 1 across and down, shape (2, sample).
+
+    Returns
+    -------
+    means : ndarray
+        Shape (row, k, k), from the top left; NaN where no sample fell.
+    counts : ndarray
+        Shape (k, k). There are as many cells as the samples tell apart, at most 8 x 8.
+
+    Examples
+    --------
+    >>> places = np.random.default_rng(0).random((2, 64))
+    >>> means, counts = means_by_place(1.0 * (places[:1] > 0.5), places)
+    >>> means[0].tolist(), int(counts.sum())
+    ([[0.0, 1.0], [0.0, 1.0]], 64)
+    """
+    good = np.isfinite(x).all(axis=0) & np.isfinite(places).all(axis=0)
+    k = min(_cells_for(int(good.sum())), _MOST_SEEN)
+    across, down = np.clip((places[:, good] * k).astype(np.intp), 0, k - 1)
+    cell = down * k + across
+    counts = np.bincount(cell, minlength=k * k)
+    sums = np.stack([np.bincount(cell, row, k * k) for row in x[:, good].astype(np.float64)])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (sums / counts).reshape(-1, k, k), counts.reshape(k, k)
 
 
 def _cells_for(spp: int) -> int:
@@ -183,11 +299,13 @@ def split_by_place(
     """
     *shape, spp = x.shape
     rows = math.prod(shape)
-    flat = np.reshape(x, (rows, spp)).astype(np.float64)
-    good = np.isfinite(flat)
+    good = np.isfinite(np.reshape(x, (rows, spp)) + np.reshape(places, (rows, 2, spp)).sum(axis=1))
+    flat = np.where(good, np.reshape(x, (rows, spp)), 0).astype(np.float64)
+    count = good.sum(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        centre = np.where(good, flat, 0).sum(axis=-1) / good.sum(axis=-1)
-    flat = np.where(good, flat - centre[:, np.newaxis], 0)
+        mean = flat.sum(axis=-1) / count
+        flat = np.where(good, flat - mean[:, np.newaxis], 0)
+        variance = (flat**2).sum(axis=-1) / (count - 1)
     at = np.nan_to_num(np.reshape(places, (rows, 2, spp)))
     cell = np.clip((at * k).astype(np.intp), 0, k - 1)
     group = np.arange(spp) * _GROUPS // spp
@@ -198,12 +316,65 @@ def split_by_place(
             for weights in (good.astype(np.float64), flat, flat**2)
         ]
     ).reshape(3, rows, _GROUPS, k * k)
-    whole_sums = sums.sum(axis=2)
-    within, between = _of_cells(whole_sums)
-    without = _of_cells(whole_sums[:, :, np.newaxis] - sums)[1]
-    spread = ((without - without.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1)
-    error = np.sqrt(spread * (_GROUPS - 1) / _GROUPS)
-    return FilmSplit(*(found.reshape(shape) for found in (within, between, error)))
+    whole = sums.sum(axis=2)
+    within, between = _of_cells(whole)
+    left_out = _of_cells(whole[:, :, np.newaxis] - sums)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share, shares = (b / (w + b) for w, b in ((within, between), left_out))
+        margin = _T * _jackknifed(shares)
+        interval = np.clip(np.stack([share - margin, share + margin], axis=-1), 0, 1)
+        p_value = _of_permutations(*whole[:2], *((flat**j).sum(axis=-1) for j in (2, 4)))
+        constant = variance <= (CONSTANT_SPREAD * mean) ** 2
+    numbers = (variance, within, between, _jackknifed(left_out[1]), share, interval, p_value)
+    reason = first_of(
+        {
+            Reason.ALL_BAD: count == 0,
+            Reason.ALL_NULL: (mean == 0) & (variance == 0),
+            Reason.CONSTANT: constant,
+            Reason.TOO_FEW: ~np.isfinite(sum(v.reshape(rows, -1).sum(axis=1) for v in numbers)),
+        }
+    )
+    for values in numbers:
+        values[reason != Reason.OK] = np.nan
+    return FilmSplit(*(v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)))
+
+
+def _jackknifed(found: Floats) -> Floats:
+    """Return the standard error of a number from those without one group each, (..., group)."""
+    spread = ((found - found.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1)
+    return np.asarray(np.sqrt(spread * (_GROUPS - 1) / _GROUPS))
+
+
+def _of_permutations(n: Floats, sums: Floats, squares: Floats, fourth: Floats) -> Floats:
+    """Return p-values of the share of the squares that cells explain, (row,).
+
+    `n` and `sums` of samples without their mean are of cells, (row, cell); `squares` and `fourth`
+    are the sums of their squares and fourth powers. If radiance does not depend on the place, all
+    orders of the samples are as likely. A beta distribution has the mean and the variance that the
+    share has over all of them, which are exact: Pitman, "Significance tests which may be applied to
+    samples from any populations, III", 1938, doi:10.1093/biomet/29.3-4.322. The F-test knows of no
+    long tails.
+    """
+    k, total = (n > 0).sum(axis=-1), n.sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        h, explained = (np.where(n > 0, v / n, 0).sum(axis=-1) for v in (1, sums**2))
+        four = fourth / squares**2
+        pairs = total * (total - 1)
+        triples, quadruples = pairs * (total - 2), pairs * (total - 2) * (total - 3)
+        # How often each product of four samples is in the square of what is explained, by which of
+        # them are the same sample, and its mean over all orders.
+        twos, threes = k - h, total - 3 * k + 2 * h
+        square = (
+            h * four / total
+            + (k**2 - h + 2 * twos) * (1 - four) / pairs
+            - 4 * twos * four / pairs
+            + (2 * k * (total - k) - 4 * twos + 4 * threes) * (2 * four - 1) / triples
+            + ((total - k) ** 2 - 2 * twos - 4 * threes) * (3 - 6 * four) / quadruples
+        )
+        mean = (k - 1) / (total - 1)
+        a = mean * (mean * (1 - mean) / (square - mean**2) - 1)
+        b = a * (1 - mean) / mean
+        return np.asarray(special.betaincc(a, b, np.clip(explained / squares, 0, 1)))
 
 
 def _of_cells(sums: Floats) -> tuple[Floats, Floats]:

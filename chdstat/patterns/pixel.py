@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ from chdstat.patterns.classification import (
     classify,
 )
 from chdstat.patterns.definitions import PATTERNS, Thresholds, largest_misfit
+from chdstat.patterns.film_splits import VarianceByPlace, means_by_place
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import FILM, LightPart
@@ -53,7 +54,7 @@ Found = TypeVar("Found")
 
 _POINTS = 96
 """Numbers of samples at which the running mean is known."""
-_OF_FITTED = ("part", "patterns", "constant", "_curves")
+_OF_FITTED = ("part", "places", "patterns", "constant", "_curves")
 """What depends on the fitted samples alone, and with `part` all that was measured of it."""
 _MORE = MixtureFit(max_k=8, effort="fast")
 """The mixture of samples that one with few components does not describe."""
@@ -194,7 +195,18 @@ class Pixel(Shown):
     def part(self) -> PositivePart:
         """The positive samples of each row, of the samples that are fitted."""
         x = self.radiance[:, : self.fitted_spp]
-        return PositivePart.of_pixels(x, rows="both" if self.has_luminance else "channels")
+        rows: Literal["both", "channels"] = "both" if self.has_luminance else "channels"
+        return PositivePart.of_pixels(x, rows=rows, places=self.places)
+
+    @cached_property
+    def places(self) -> npt.NDArray[np.float32] | None:
+        """Where in the pixel each fitted sample fell, (2, sample), NaN if unknown; None for all."""
+        if FILM not in self.parts:
+            return None
+        found = np.full((2, self.fitted_spp), np.nan, np.float32)
+        known = self.parts[FILM][:, : self.fitted_spp]
+        found[:, : known.shape[1]] = known
+        return found
 
     def measured(self, statistic: Statistic[Found]) -> Found:
         """Return a statistic of each row, or of luminance if it is one of luminance."""
@@ -202,6 +214,33 @@ class Pixel(Shown):
             measured(self.part, ModalMixture())  # which finds the modes on its way
         part = self.part if statistic.rows == "channels" else self.part.rows(-1)
         return measured(part, statistic)
+
+    @property
+    def variance_by_place(self) -> str:
+        """How much of the variance of luminance is the picture changing within the pixel.
+
+        "" if it is unknown where samples fell, or they do not vary.
+        """
+        statistic = VarianceByPlace.of_pixel(self.fitted_spp)
+        if self.places is None or statistic is None or not self.moments.variance[-1] > 0:
+            return ""
+        tail = self.measured(TailIndex())
+        holds = not (tail.variance_suspect[-1] or tail.variance_unidentified[-1])
+        return self._of_each(statistic).in_words(-1, holds=holds)
+
+    @cached_property
+    def means_by_place(self) -> tuple[Floats, npt.NDArray[np.int64]] | None:
+        """Mean radiance of each row by cell of the pixel, and samples there; None if unknown.
+
+        Shapes (row, k, k) and (k, k); `chdstat.viz.pixel_by_place` draws them.
+        """
+        if self.places is None:
+            return None
+        return means_by_place(self.rows[:, : self.fitted_spp], self.places)
+
+    def _of_each(self, statistic: Statistic[Found]) -> Found:
+        """Return a statistic of each row, also where images have it of luminance alone."""
+        return measured(self.part, statistic)
 
     @cached_property
     def selection(self) -> Selection:
@@ -337,13 +376,16 @@ class Pixel(Shown):
         """
         found = {}
         for kind in shown_statistics():
+            if kind.film and self.places is None:
+                continue
             statistic = kind.of_pixel(self.fitted_spp)
             for quantity in kind.quantities:
                 title = quantity.brief if brief else quantity.title
                 if title:
                     found[title] = "—"
                 if title and statistic and (quantity.of_constant or not self.constant[row]):
-                    found[title] = quantity.text(self.measured(statistic), row)
+                    of_rows = self.measured if kind.rows == "channels" else self._of_each
+                    found[title] = quantity.text(of_rows(statistic), row)
         return found
 
     def grown(self, radiance: npt.NDArray[np.float32]) -> Self:
@@ -474,6 +516,8 @@ class Pixel(Shown):
                 "why": label.meaning,
                 "what helps": label.cure_by(self.attrs),
             }
+        if self.variance_by_place:
+            facts["variance by place"] = self.variance_by_place
         for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):
             for row in rows_of[1:2]:
                 named = [(name, float(share)) for name, share in list(row.items())[2:]]

@@ -283,6 +283,15 @@ class Samples:
         """
         return self._parts.get(FILM)
 
+    def places(self, ys: slice = ALL, xs: slice = ALL) -> Image | None:
+        """Return where samples fell, as `film` has it; NaN for those of which that is unknown."""
+        if self.film is None:
+            return None
+        known = self.film.read(ys, xs)
+        found = np.full((*known.shape[:3], self.spp), np.nan, np.float32)
+        found[..., : known.shape[3]] = known
+        return found
+
     @property
     def parts(self) -> dict[LightPart, Samples]:
         """Parts of the same samples: those of `depths` and of `lights`, and `film`."""
@@ -608,10 +617,11 @@ class Samples:
 
     def map(
         self,
-        function: Callable[[Image], Mapped],
+        function: Callable[..., Mapped],
         *,
         logarithms: bool = False,
         dependent: bool = False,
+        film: bool = False,
         description: str = "analysing",
         **work: Unpack[Work],
     ) -> xr.Dataset:
@@ -630,6 +640,8 @@ class Samples:
             `chdstat.errors.LeftOutWarning` reports more than 1 %.
         dependent
             Whether the function takes samples that depend on each other, see `sequence_means`.
+        film
+            Whether the function also takes where these samples fell, as `places` returns it.
         description, **work
             What is done; ``progress`` to show how much of it; ``client`` for a Dask client, whose
             workers then compute the tiles.
@@ -641,7 +653,8 @@ class Samples:
         def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
             block = part.read()
             left_out.see(block, channel_axis=-2, absent=part.absent())
-            return tiles.by_pixels(function, block)
+            more = [places] if film and (places := part.places()) is not None else []
+            return tiles.by_pixels(function, block, *more)
 
         places, shown = tiles.tiles(self.shape), {"description": description}
         return over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)

@@ -245,15 +245,19 @@ def tiles(
     yield from itertools.product(spans(height, edge), spans(width, edge))
 
 
-def by_pixels(function: Callable[[Image], Mapped], block: Image) -> Mapped:
-    """Apply a function of a tile's samples to as many pixels at a time as memory should hold."""
-    size = block.shape[:2]
-    row = block.reshape(1, -1, *block.shape[2:])
-    most = max(_AT_ONCE // max(row[:, :1].nbytes, 1), 1)
+def by_pixels(function: Callable[..., Mapped], *blocks: Image) -> Mapped:
+    """Apply a function of a tile's samples to as many pixels at a time as memory should hold.
+
+    It may take more than the samples of each pixel, such as where they fell.
+    """
+    size = blocks[0].shape[:2]
+    rows = [block.reshape(1, -1, *block.shape[2:]) for block in blocks]
+    count = rows[0].shape[1]
+    most = max(_AT_ONCE // max(sum(row[:, :1].nbytes for row in rows), 1), 1)
     parts = []
-    for part in spans(row.shape[1], most):
-        with portion((part.stop - part.start) / row.shape[1]):
-            parts.append(function(row[:, part]))
+    for part in spans(count, most):
+        with portion((part.stop - part.start) / count):
+            parts.append(function(*(row[:, part] for row in rows)))
     found = {}
     for name, (dims, _) in parts[0].items():
         values = np.concatenate([part[name][1] for part in parts], axis=1)

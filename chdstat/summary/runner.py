@@ -22,7 +22,7 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, as_samples, warn_left_out
+from chdstat._core.arrays import Image, as_pixels, as_samples, warn_left_out
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError
@@ -109,13 +109,17 @@ def run(
     if binned and not statistic.binned:
         message = f"{description} needs the samples themselves, got a histogram"
         raise InputError(message)
+    if statistic.film and (not isinstance(given, Samples) or given.film is None):
+        message = "these samples do not say where they fell; render them with film=True (--film)"
+        raise InputError(message)
     if isinstance(given, Samples):
 
-        def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-            part = PositivePart.of_pixels(block, rows=statistic.rows)
+        def of_block(block: Image, places: Image | None = None) -> Mapped:
+            part = PositivePart.of_pixels(block, rows=statistic.rows, places=places)
             return statistic.variables(measured(part, statistic))
 
         kinds: Any = {"logarithms": statistic.logarithms, "description": description}
+        kinds["film"] = statistic.film
         return statistic.finish(given.map(of_block, **kinds, progress=progress))
     if dataset is not None:
         import xarray as xr

@@ -35,9 +35,11 @@ from chdstat.viz.image import Mark, firefly_pair, region_study, side_by_side, wi
 from chdstat.viz.maps import (
     atlas,
     categorical_map,
+    film_split,
     image_map,
     map_grid,
     n_needed,
+    pixel_by_place,
     value_map,
 )
 from chdstat.viz.several_renders import contrast, renders_contrasted
@@ -60,6 +62,7 @@ __all__ = [
     "contrast",
     "error_curves",
     "estimator_measures",
+    "film_split",
     "finding_plots",
     "firefly_pair",
     "fit_curve",
@@ -69,6 +72,7 @@ __all__ = [
     "mode_stems",
     "n_needed",
     "pattern_breakdown",
+    "pixel_by_place",
     "pixel_estimates",
     "region_study",
     "renders_contrasted",

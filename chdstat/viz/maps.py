@@ -24,15 +24,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from chdstat._core.arrays import flag_names
-from chdstat._core.display import Width
+from chdstat._core.display import Width, percent
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError
 from chdstat.patterns import Atlas
-from chdstat.viz.chd import Channels
+from chdstat.patterns.pixel import Pixel
+from chdstat.viz.chd import Channels, Panel, chd_pair, one_of
 from chdstat.viz.image import one_channel
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
+    UNIT,
     axes_in,
     bar_ticks,
     bare,
@@ -43,6 +45,7 @@ from chdstat.viz.styling import (
     grid,
     grow,
     inches,
+    narrow,
     page,
     per_cent,
     qualitative,
@@ -440,3 +443,102 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
         0.99, 0.93, f"y {y}\nx {x}", transform=ax.transAxes, ha="right", va="top",
         color="#555555",
     )  # fmt: skip
+
+
+@style()
+def film_split(
+    found: xr.Dataset,
+    *,
+    title: str = "Variation within the pixel",
+    width: Width = "column",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw how much of each pixel's variance is the picture changing within it.
+
+    Parameters
+    ----------
+    found
+        Dataset of `chdstat.patterns.film_split`. Where the share is not significant over the image,
+        pixels are light grey; those without variance are dark grey.
+    title
+        What is shown.
+    width
+        Width of the figure: "column", "page" or inches.
+    ax
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If the dataset has no such share.
+    """
+    if "share_told" not in found:
+        message = (
+            "expected a dataset of chdstat.patterns.film_split, with share_told, got one of "
+            f"{', '.join(map(str, found.data_vars))}"
+        )
+        raise InputError(message)
+    told = found["share_told"].to_numpy()
+    unit = "share of the variance of luminance"
+    ax = value_map(np.maximum(told, 0), title=title, unit=unit, limits=(0, 1), width=width, ax=ax)
+    rejected, still = found["rejected"].to_numpy(), LABEL_COLORS["constant"]
+    known = {
+        "not significant": (rejected == 0, MISSING),
+        "no variance": (rejected != rejected, still),
+    }
+    patches = [
+        Patch(color=color, label=f"{name} {_percent(float(here.mean()))}")
+        for name, (here, color) in known.items()
+        if here.any()
+    ]
+    without = np.ma.masked_not_equal(np.isnan(rejected), True)
+    ax.imshow(without, cmap=ListedColormap([still]), interpolation="nearest")
+    ax.legend(
+        handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2,
+        handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
+    )  # fmt: skip
+    return ax
+
+
+@style()
+def pixel_by_place(
+    pixel: Pixel, *, channel: str = "luminance", width: Width = "page", fig: Figure | None = None
+) -> Figure:
+    """Draw the mean radiance by place within a pixel, and how samples fell, beside its CHD.
+
+    An edge that runs through the pixel is seen at once. Numbers are samples in each cell.
+
+    Parameters
+    ----------
+    pixel
+        A pixel of samples that say where they fell.
+    channel
+        A channel by its name, or "luminance".
+    width
+        Width of the figure: "column", "page" or inches.
+    fig
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If the samples do not say where they fell, or there is no such channel.
+    """
+    if pixel.means_by_place is None:
+        message = "these samples do not say where they fell; render them with film=True (--film)"
+        raise InputError(message)
+    means, counts = pixel.means_by_place
+    name = one_of(pixel.names, channel) if len(pixel.names) > 1 else pixel.names[0]
+    height = 1.1 + 0.9 * (not narrow(inches(width, fig)))
+    figure, left, right = two_parts(fig, width, height + 0.6, 0.4, (height + 0.6, height + 0.6))
+    shown = means[pixel.names.index(name)]
+    ax = value_map(shown, title="Mean by place, number of samples", unit=UNIT, ax=left.subplots())
+    middle = np.nanmean([np.nanmin(shown), np.nanmax(shown)])
+    for (y, x), count in np.ndenumerate(counts):
+        shade = "black" if shown[y, x] > middle else "white"
+        ax.text(x, y, str(count), ha="center", va="center", fontsize=6, color=shade)
+    title = f"{pixel.scene}, y {pixel.y}, x {pixel.x}"
+    panel = Panel.of_pixel(title, pixel, note=f"{percent(pixel.null_share)} null")
+    right_figure: Any = right
+    chd_pair(panel, channels=name, scales="log", width=width, fig=right_figure)
+    return figure

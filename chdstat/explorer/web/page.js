@@ -425,7 +425,7 @@ window.chdstat = (() => {
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("statistics" in item.tables) {
-        for (const name of ["paths", "lights", "compared"]) $("#" + name).hidden = !(name in item.tables);
+        for (const name of ["places", "paths", "lights", "compared"]) $("#" + name).hidden = !(name in item.tables);
       }
     },
     goodness(item) {
@@ -645,12 +645,13 @@ window.chdstat = (() => {
     const body = make("table", null, { class: content.words ? "words" : "" });
     const head = make("tr");
     head.append(...content.columns.map((c) => make("th", c, { scope: "col" })));
-    const rows = content.rows.map((cells) => {
+    const rows = content.rows.map((cells, at) => {
       const row = make("tr");
       const measured = cells[content.columns.length] ?? "";
       row.append(...cells.slice(0, content.columns.length).map((c, i) => {
         const cell = i ? make("td", c) : make("th", null, { scope: "row" });
         if (!i) cell.append(named(c, measured));
+        if (i && content.shades) [cell.style.background, cell.style.color] = content.shades[at][i - 1];
         return cell;
       }));
       row.title = measured;
