@@ -18,6 +18,7 @@ from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad,
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, quantile_of
 from chdstat.analysis import analyze
 from chdstat.inference.findings import level_of, require, required
+from chdstat.patterns.film_splits import film_split, film_statistic
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
 from chdstat.studies.log_chds import LogChds, of_histograms
@@ -312,6 +313,16 @@ class SceneData:
         if self.given is not None or "analysis" in self.__dict__:
             return self.analysis
         return summarize(self.samples)
+
+    @cached_property
+    def film_split(self) -> xr.Dataset | None:
+        """Result of `chdstat.patterns.film_split`; None if it is unknown where samples fell."""
+        prefix = "film_"
+        known = self.given if self.given is not None else self.__dict__.get("analysis")
+        if known is not None and f"{prefix}share" in known:
+            own = {str(n): str(n).removeprefix(prefix) for n in known if str(n).startswith(prefix)}
+            return known[list(own)].rename(own)
+        return None if film_statistic(self.samples) is None else film_split(self.samples)
 
     @cached_property
     def batch_light(self) -> Floats:

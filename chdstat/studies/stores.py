@@ -186,7 +186,7 @@ class Stores:
         source, recipe = scene.source, scene.recipe
         if isinstance(source, Samples) or recipe is None:
             return SceneData(scene.name, source, scene.regions), None  # type: ignore[arg-type]
-        samples = self._rendered(source, recipe.settings())
+        samples = self._rendered(source, recipe.settings(), film=True)
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
@@ -217,7 +217,9 @@ class Stores:
             other["adaptive"] = more(11, quarter, adaptive=True)
         return SceneData(scene.name, samples, scene.regions, **other), more(1, half)
 
-    def _rendered(self, scene: Scene, settings: Mapping[str, Any]) -> Samples:
+    def _rendered(
+        self, scene: Scene, settings: Mapping[str, Any], *, film: bool = False
+    ) -> Samples:
         out = None
         if self.folder is not None:
             named = {n: settings[n] for n in ("max_depth", "seed", "size")} | dict(settings)
@@ -228,7 +230,7 @@ class Stores:
             if done is not None:
                 return done
         about: Any = {"backend": self.backend, "progress": self.progress}
-        return render(scene, **settings, out=out, **about)
+        return render(scene, **settings, out=out, film=film, **about)
 
     def cache(self, samples: Samples) -> Cache:
         """Return the cache of results from samples; for samples in memory, there is none."""

@@ -22,7 +22,7 @@ for _leaf in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_leaf.name}")
 CLAIMS = tuple(ENTERED[number] for number in sorted(ENTERED))
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
-Carlo variance reduction", in the order of the study. From 30 on, they are our own, about path
+Carlo variance reduction", in the order of the study. Those from 30 to 33 are our own, about path
 guiding and adaptive sampling, which the paper leaves for later."""
 
 

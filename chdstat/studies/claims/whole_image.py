@@ -1,4 +1,4 @@
-"""Claims on the whole image: fireflies, continuous CHDs, symmetry and families."""
+"""Claims on the whole image: fireflies, continuous CHDs, symmetry, families, and their pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.arrays import Counts, Floats, flag_names, generator
+from chdstat._core.arrays import Counts, Floats, flag_names, generator, luminance
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import largest_of
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.samples.tiles import Region
@@ -306,4 +307,43 @@ def families(data: SceneData) -> Finding:
     return Finding(
         (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
         plot_data=PlotData.bars(shares, "share of pixel channels"),
+    )
+
+
+# --- within pixels --------------------------------------------------------------------------------
+
+_SLIGHTLY = 0.1
+"""Variance that comes on top is slight up to this share of that of paths: a tenth more samples undo
+it, and a gain of less is worth no word in comparisons of estimators, either."""
+_SHARES = 0.5, 0.9, 0.99
+
+
+@claim(
+    34,
+    "variation within pixels",
+    "As radiance varies within the pixel, the variance is slightly higher than that of paths.",
+    spp=192,
+)
+def within_pixels(data: SceneData) -> Finding:
+    """Compare the variance between places in the pixel with that of paths at a fixed place.
+
+    The image counts as in relMSE. Sums of both parts are unbiased, however rare bright paths are;
+    the median pixel says how typical the image is.
+    """
+    split = required(data.film_split, "where samples fell in their pixels (film=True)")
+    mean = luminance(data.summary["mean"].to_numpy().astype(np.float64), channel_axis=-1)
+    scale, whole = relative_scale(mean), data.whole(tests=2)
+    paths, places = ((split[name].to_numpy() / scale).ravel() for name in ("paths", "places"))
+    require((paths > 0).any(), "samples that vary")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = np.where(paths > 0, places / paths, np.nan)
+    name = "variance between places in the pixel over that of paths"
+    levels = np.nanquantile(excess, _SHARES)
+    shown = {f"{100 * share:g} % of pixels": x for share, x in zip(_SHARES, levels, strict=True)}
+    return Finding(
+        (
+            ClaimTest(f"{name}, image", whole.ratio(places, paths), 0.0, _SLIGHTLY),
+            ClaimTest(f"{name}, median pixel", whole.median(excess), most=_SLIGHTLY),
+        ),
+        plot_data=PlotData.bars(shown, "between places over paths, at most"),
     )

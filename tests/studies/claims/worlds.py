@@ -11,7 +11,7 @@ import numpy as np
 
 import chdstat as chd
 from chdstat.comparison import Interval
-from chdstat.samples.tiles import Region
+from chdstat.samples.tiles import FILM, Region
 from chdstat.studies.claims import SceneData
 
 Rng = np.random.Generator
@@ -458,6 +458,15 @@ def held(rng: Rng, spp: int, bias: float) -> Scenes:
     return [replace(scene, comparison=comparison)]
 
 
+@given_first
+def edges(rng: Rng, spp: int, height: float) -> Scenes:
+    """Return gamma noise of variance 1 and, through each pixel, an edge as high as this."""
+    x, places = rng.gamma(1.0, size=size(spp)), rng.random((EDGE, EDGE, 2, spp))
+    film = chd.Samples.from_array(places)
+    x += height * (places[:, :, 0] > 0.5)
+    return [SceneData("simulated", chd.Samples(image(x), attrs={}, parts={FILM: film}))]
+
+
 WORLDS: dict[int, tuple[World, World]] = {
     1: (nulls(0.6), nulls(0.2)),
     2: (seen(gamma(8), "diffuse"), seen(gamma(1), "diffuse")),
@@ -510,6 +519,7 @@ WORLDS: dict[int, tuple[World, World]] = {
     31: (guided(lognormal(1.0), lognormal(0.7)), guided(lognormal(0.7), lognormal(1.0))),
     32: (held(0), held(0.3)),
     33: (adaptive(0.5), adaptive(-0.5)),
+    34: (edges(0.45), edges(1.4)),
 }
 """By number of the claim: a world in which it is true, and one in which it is false."""
 TRUE, FALSE = ({number: pair[i] for number, pair in WORLDS.items()} for i in (0, 1))
@@ -539,6 +549,7 @@ FALSE_PARTS: dict[int, tuple[str, ...]] = {
     31: ("Gaussian",),
     32: ("error",),
     33: ("spread",),
+    34: ("image", "median"),
 }
 """By words of their names, the parts of a claim that are false in the world where it is."""
 PEAKS = seen(two_peaks, "diffuse")
