@@ -96,8 +96,8 @@ class FilmSplit(Result):
         share = with_interval(max(float(self.share[row]), 0.0), low, high, percent)
         if holds:
             return (
-                f"{share} is the picture changing within the pixel, which samples that are spread "
-                "over it take away; the rest is of paths"
+                f"{share} is the picture changing within the pixel, which strata over it take "
+                "away; the rest is of paths"
             )
         return (
             f"{share} of what the samples show is the picture changing within the pixel; bright "
@@ -323,7 +323,9 @@ def split_by_place(
         share, shares = (b / (w + b) for w, b in ((within, between), left_out))
         margin = _T * _jackknifed(shares)
         interval = np.clip(np.stack([share - margin, share + margin], axis=-1), 0, 1)
-        p_value = _of_permutations(*whole[:2], *((flat**j).sum(axis=-1) for j in (2, 4)))
+        p_value = _of_permutations(
+            *whole[:2], *(v.sum(axis=-1) for v in (flat**2, flat**2 * flat**2))
+        )
         constant = variance <= (CONSTANT_SPREAD * mean) ** 2
     numbers = (variance, within, between, _jackknifed(left_out[1]), share, interval, p_value)
     reason = first_of(

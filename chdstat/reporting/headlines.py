@@ -23,6 +23,7 @@ from chdstat.patterns.attribution import largest_part
 from chdstat.patterns.clamping import clamped_share
 from chdstat.samples import Samples
 from chdstat.studies.claims import SceneData
+from chdstat.studies.scene_data import WithinPixels
 from chdstat.studies.studies import SceneStudy
 from chdstat.viz.styling import called
 
@@ -36,6 +37,8 @@ _CLAMPED = 1e-3
 """Share of the light that a clamp takes from which a report mentions it."""
 _ERRORS = 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001
 """Relative errors for which a report says the number of samples."""
+_MATTERS = 0.1
+"""Share of the noise from which a gain is worth a word."""
 _MOST = 6
 """Most findings."""
 
@@ -59,8 +62,12 @@ def headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str,
         ]
     else:
         rows = [*_where_noise_is(data, scene, noise), *_which_paths(data)]
+        within = data.within_pixels if noise else None
+        matters = within is not None and within.share.low > _MATTERS
+        rows += _of_strata(within) if matters else []
         rows += [] if noise.label == "null_heavy" else _nulls(scene)
         rows += [*_clamp(data.samples), *_trust(scene), *_fireflies(data, scene, noise)]
+        rows += [] if matters else _of_strata(within)
     helps = [] if found.comparison is None else [*_what_helps(found.comparison)]
     harms = (
         [] if found.comparison is None else [*where_it_harms(found.comparison, scene.pixels, noise)]
@@ -165,6 +172,30 @@ def _which_paths(data: SceneData) -> Iterator[_Headline]:
             f"In the average pixel, {'they make' if plural else 'it makes'} "
             f"{part.share.shown(percent)} of it, and {percent(part.mean)} of the light.",
         )
+
+
+def _of_strata(known: WithinPixels | None) -> Iterator[_Headline]:
+    """Yield how much of the noise strata over the pixel could take at most, if that is known."""
+    if known is None or not math.isfinite(known.share.high):
+        return
+    share, most = known.share.shown(percent), percent(max(known.share.high, 0.0))
+    if known.share.low > _MATTERS:
+        finding = f"Strata over the pixel could take {share} of the noise."
+    elif known.share.high < _MATTERS:
+        finding = f"Strata over the pixel would take little of the noise: at most {most}."
+    else:
+        finding = f"Strata over the pixel would take at most {most} of the noise."
+    where = ""
+    if known.pixels >= LITTLE:
+        where = (
+            f" In {percent(known.pixels)} of the pixels, as at edges, it is most of the variance "
+            f"that samples show; they hold {percent(known.held)} of the noise."
+        )
+    yield (
+        finding,
+        f"{share} of the relative variance is the picture changing within pixels, which goes if "
+        f"each of as many strata of a pixel gets a sample. The rest is of paths.{where}",
+    )
 
 
 def _clamp(samples: Samples) -> Iterator[_Headline]:

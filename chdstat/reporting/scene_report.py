@@ -53,6 +53,7 @@ from chdstat.samples import Region, Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_distribution
 from chdstat.scenes import Scene, load_scene
+from chdstat.scenes.scene import MITSUBA
 from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.stores import at_hand
 from chdstat.studies.studies import SceneStudy
@@ -164,7 +165,8 @@ def report(
         given = _settings_of(scene, named, as_published=as_published) | given
         if as_published:
             store = store or target.with_suffix(".zarr")
-        samples = render(scene, **given, out=store, progress=progress)
+        film = scene.renderer == MITSUBA  # others do not say where samples fall
+        samples = render(scene, **given, film=film, out=store, progress=progress)
     check_distribution(samples.spp)
     samples = at_hand(samples)
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad, luminance
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, quantile_of
 from chdstat.analysis import analyze
 from chdstat.inference.findings import level_of, require, required
@@ -35,6 +36,8 @@ DIRECT = "direct light, both"
 """Integrator that other ones of direct light are compared with."""
 QUANTILES_NEED = 100
 """Positive samples that a quantile at 1 % or 99 % needs."""
+_MOST_OF_IT = 0.5
+"""Share of a pixel's variance that is most of it."""
 _GUIDED_NEEDS = 64
 """Fewest samples of a pixel for tails and skewness."""
 
@@ -230,6 +233,24 @@ class PixelSet:
 
 
 @dataclass(frozen=True)
+class WithinPixels:
+    """How much of the noise of an image is the picture changing within its pixels.
+
+    Attributes
+    ----------
+    share
+        Share of the relative variance: what as many strata of a pixel as samples take at most.
+    pixels, held
+        Share of the pixels in which it is more than half of the variance that samples show, by
+        whole intervals, and of the noise in them.
+    """
+
+    share: Interval[float]
+    pixels: float
+    held: float
+
+
+@dataclass(frozen=True)
 class SceneData:
     """One scene: its samples, its regions, and the renders that they are compared with.
 
@@ -323,6 +344,35 @@ class SceneData:
             own = {str(n): str(n).removeprefix(prefix) for n in known if str(n).startswith(prefix)}
             return known[list(own)].rename(own)
         return None if film_statistic(self.samples) is None else film_split(self.samples)
+
+    @cached_property
+    def within_pixels(self) -> WithinPixels | None:
+        """How much of the noise is the picture changing within pixels; None if unknown."""
+        if self.film_split is None:
+            return None
+        paths, places = self.split_of_noise
+        sure = np.asarray(self.film_split["share_interval"].sel(bound="low") > _MOST_OF_IT).ravel()
+        whole, total = np.nansum(paths + places), paths + places
+        return WithinPixels(
+            self.whole().ratio(places, total, (-math.inf, 1.0)),
+            pixels=float(sure.mean()),
+            held=float(np.nansum(total[sure]) / whole) if whole > 0 else math.nan,
+        )
+
+    @property
+    def split_of_noise(self) -> tuple[Floats, Floats]:
+        """Variance of paths and between places in the pixel, weighted as in relMSE, (pixel,).
+
+        Raises
+        ------
+        MissingDataError
+            If it is unknown where samples fell.
+        """
+        split = required(self.film_split, "where samples fell in their pixels (film=True)")
+        mean = luminance(self.summary["mean"].to_numpy().astype(np.float64), channel_axis=-1)
+        scale = relative_scale(mean)
+        paths, places = ((split[name].to_numpy() / scale).ravel() for name in ("paths", "places"))
+        return paths, places
 
     @cached_property
     def batch_light(self) -> Floats:

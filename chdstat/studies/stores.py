@@ -28,7 +28,7 @@ from chdstat.samples import Region, Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
-from chdstat.scenes.scene import LiveScene
+from chdstat.scenes.scene import MITSUBA, LiveScene
 from chdstat.studies.scene_data import BSDF_SAMPLING, DIRECT, SceneData
 from chdstat.summary.statistics import summarize
 
@@ -186,7 +186,7 @@ class Stores:
         source, recipe = scene.source, scene.recipe
         if isinstance(source, Samples) or recipe is None:
             return SceneData(scene.name, source, scene.regions), None  # type: ignore[arg-type]
-        samples = self._rendered(source, recipe.settings(), film=True)
+        samples = self._rendered(source, recipe.settings(), film=source.renderer == MITSUBA)
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))

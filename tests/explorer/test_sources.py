@@ -26,11 +26,13 @@ from chdstat.explorer.image_sources import (
     pooled,
     stream,
 )
-from chdstat.explorer.overlays import IMAGES, MAPS, map_kind, map_of_view, walk
+from chdstat.explorer.overlays import IMAGES, MAPS, OF_FILM, map_kind, map_of_view, walk
 from chdstat.explorer.render_process import RenderProcess
-from chdstat.patterns import classify
+from chdstat.patterns import classify, film_split
 from chdstat.rendering import render_pixels
 from chdstat.rendering.jobs import Job
+from chdstat.samples import Samples
+from chdstat.samples.tiles import FILM
 from tests.luminance import LUMINANCE
 
 ARRAYS = dict[str, npt.NDArray[Any]]
@@ -132,7 +134,7 @@ def test_the_streamed_image_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-@pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"])
+@pytest.mark.parametrize("name", [n for n in MAPS if n not in {"pattern", *OF_FILM}])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
     if name in IMAGES:
@@ -145,6 +147,23 @@ def test_every_map_covers_the_image(flames, name):
     assert low < high
     if found.names:
         assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.names)
+
+
+def test_maps_of_film_need_to_know_where_samples_fell(flames):
+    for name in OF_FILM:
+        with pytest.raises(InputError, match="--film"):
+            ended(walk(StoreSource(flames), name))
+
+
+def test_the_map_of_film_is_the_split():
+    rng = np.random.default_rng(1)
+    places = rng.random((9, 20, 2, 64))
+    x = rng.gamma(2.0, size=(9, 20, 3, 64))
+    x[:, :9] += 9 * (places[:, :9, :1] > 0.5)
+    film = Samples.from_array(places)
+    samples = Samples(x.astype(np.float32), attrs={}, parts={FILM: film})
+    found = ended(walk(StoreSource(samples), "film"))
+    np.testing.assert_allclose(found, film_split(samples, progress=False)["share_told"], rtol=1e-6)
 
 
 def test_maps_say_what_the_library_says(flames):

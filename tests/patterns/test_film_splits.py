@@ -11,6 +11,7 @@ from scipy import stats
 import chdstat as chd
 from chdstat import viz
 from chdstat.errors import InputError, Reason
+from chdstat.explorer import tables
 from chdstat.patterns import Pixel, film_split
 from chdstat.patterns.film_splits import VarianceByPlace, _of_permutations, split_by_place
 from chdstat.samples import Samples
@@ -114,7 +115,7 @@ def test_samples_of_which_some_places_are_unknown_count_less():
 def test_a_pixel_says_what_its_variance_comes_from():
     words = pixel(0.6).variance_by_place.replace("\N{NO-BREAK SPACE}", " ")
     assert words.startswith("6")
-    assert words.endswith("which samples that are spread over it take away; the rest is of paths")
+    assert words.endswith("which strata over it take away; the rest is of paths")
     assert "of the variance, within the pixel" in pixel(0.6).told(0)
     assert "variance by place" in str(pixel(0.6))
     assert "no change of the picture within the pixel is seen" in pixel(0.0).variance_by_place
@@ -138,6 +139,29 @@ def test_means_by_place_show_the_edge():
     assert means.shape == (4, 8, 8)
     assert counts.sum() == 1024
     assert means[-1, :, :4].max() < means[-1, :, 4:].min()
+
+
+def test_the_explorer_shows_the_means_as_a_table_with_colours():
+    table = tables.places_table(pixel(0.9))
+    assert [len(table["rows"]), len(table["columns"])] == [8, 9]
+    assert [len(row) for row in table["shades"]] == [8] * 8
+    assert table["shades"][0][0][0] != table["shades"][0][7][0]
+    assert "the picture changing within the pixel" in table["note"]
+
+
+def test_as_many_strata_as_samples_take_what_the_split_says():
+    """Variance of 4000 means of 64 samples, one in each of 8 x 8 strata: within 4 errors."""
+    rng = np.random.default_rng(3)
+
+    def radiance(places):
+        return 2.0 * (places[:, 0] > EDGE) + places[:, 1] + rng.gamma(1.0, size=places[:, 0].shape)
+
+    found = split_by_place(radiance(at := rng.random((400, 2, 1024))), at, 8)
+    corners = np.stack(np.mgrid[:8, :8]).reshape(2, 64)[np.newaxis]
+    means = radiance((corners + rng.random((4000, 2, 64))) / 8).mean(axis=1)
+    left = 1 - found.share.mean()
+    total = found.variance.mean() / 64
+    assert means.var(ddof=1) / total == pytest.approx(left, rel=4 * np.sqrt(2 / 4000))
 
 
 def test_figures_show_the_split():

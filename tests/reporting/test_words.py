@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._core.resampling import Interval
 from chdstat.analysis import NoiseShares
 from chdstat.reporting import headlines, scene_report
 from chdstat.scenes import BUILTIN
+from chdstat.studies.scene_data import WithinPixels
 from tests.reporting.contradictions import contradictions
 
 RNG_SEED = 3
@@ -144,3 +146,25 @@ WORSE = "3.2 [2.1, 4.5]\N{NO-BREAK SPACE}▲"
 def test_what_contradicts_is_found(changed, said):
     content = {"findings": [], "key_figures": []} | changed
     assert any(said in words for words in contradictions(content)), contradictions(content)
+
+
+@pytest.mark.parametrize(
+    ("ends", "says"),
+    [
+        ((0.03, 0.02, 0.04), "would take little of the noise: at most 4.0 %"),
+        ((0.4, 0.3, 0.5), "could take 40 % [30 %, 50 %] of the noise"),
+        ((0.1, 0.05, 0.2), "would take at most 20 % of the noise"),
+        ((-0.01, -0.02, -0.005), "would take little of the noise: at most 0 %"),
+    ],
+)
+def test_what_strata_take_follows_from_its_interval(ends, says):
+    known = WithinPixels(Interval(*ends), pixels=0.05, held=0.2)
+    ((finding, because),) = headlines._of_strata(known)
+    assert finding.replace("\N{NO-BREAK SPACE}", " ") == f"Strata over the pixel {says}."
+    assert "5.0\N{NO-BREAK SPACE}% of the pixels, as at edges" in because
+    assert [*headlines._of_strata(None)] == []
+
+
+def test_reports_on_scenes_say_what_strata_would_take(monkeypatch):
+    content = content_of("cornell-box", monkeypatch, size=(16, 16), spp=64, backend="scalar")
+    assert any("Strata over the pixel" in row["finding"] for row in content["findings"])

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.arrays import Counts, Floats, flag_names, generator, luminance
-from chdstat._core.image_scales import relative_scale
+from chdstat._core.arrays import Counts, Floats, flag_names, generator
 from chdstat._core.resampling import largest_of
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.samples.tiles import Region
@@ -330,10 +329,7 @@ def within_pixels(data: SceneData) -> Finding:
     The image counts as in relMSE. Sums of both parts are unbiased, however rare bright paths are;
     the median pixel says how typical the image is.
     """
-    split = required(data.film_split, "where samples fell in their pixels (film=True)")
-    mean = luminance(data.summary["mean"].to_numpy().astype(np.float64), channel_axis=-1)
-    scale, whole = relative_scale(mean), data.whole(tests=2)
-    paths, places = ((split[name].to_numpy() / scale).ravel() for name in ("paths", "places"))
+    (paths, places), whole = data.split_of_noise, data.whole(tests=2)
     require((paths > 0).any(), "samples that vary")
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(paths > 0, places / paths, np.nan)
