@@ -72,4 +72,4 @@ with tempfile.TemporaryDirectory() as folder:
 # %%
 # The command line and the explorer read such images from stores, which `chdstat.render` writes.
 #
-# **Next:** `Fit families of distributions to a pixel <../fit/plot_1_fit.html>`_
+# **Next:** `Is it noise, or an edge in the pixel? <plot_6_within_the_pixel.html>`_
