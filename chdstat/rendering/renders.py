@@ -258,6 +258,12 @@ def _check_timing(job: Job, client: Client | None) -> None:
             f"one, got backend={job.backend.name!r}; give backend='scalar', or leave out cost"
         )
         raise InputError(message)
+    if job.built_integrator is not None:
+        message = (
+            "cost=True needs to know in which order pixels are drawn, which an integrator that is "
+            "there already does not tell; give one by name or as a dict, or leave out cost"
+        )
+        raise InputError(message)
     if client is not None:
         message = (
             "cost=True measures on this machine, and the workers of a cluster differ; leave out "

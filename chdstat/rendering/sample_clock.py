@@ -2,10 +2,10 @@
 
 Mitsuba asks the sensor for a ray before each sample, so a sensor that reads a clock and passes the
 question on tells when each sample began. The samples stay the same to the bit. Such a sensor is
-written in Python and takes as long as a quick sample, so that only one pass of 16 is timed, and the
-others tell what the clock costs: it is subtracted. The clock is the processor time of the calling
-thread, of which programs that run beside take none. They still share caches: on a busy machine,
-samples seem slower.
+written in Python and takes as long as a quick sample, so that only one pass of 16 is timed. What
+the clock costs is measured before, and subtracted. The clock is the processor time of the thread,
+of which programs that run beside take none. They still share caches: on a busy machine, samples
+seem slower.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import contextlib
 import functools
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ _LONGEST = 4
 """A sample that took this many times as long as 99 % of them did was interrupted."""
 _FINE = 1e-6
 """Resolution that a clock needs, in seconds."""
+_TRIALS = 15
+"""Pairs of passes that tell what the clock takes."""
 _ONE_AT_A_TIME = threading.Lock()
 """Threads that are timed would wait for each other's turn in Python."""
 now = (
@@ -62,15 +64,30 @@ def _watching(base: type) -> type:
             described["shutter_close"] = inner.shutter_open() + inner.shutter_open_time()
             super().__init__(described)
             self.m_needs_sample_3 = inner.needs_aperture_sample()
-            self.inner, self.begun, self.places = inner, list[float](), list[Any]()
+            # Lists of numbers: tuples would set the garbage collector to work.
+            self.inner, self.threads, self.begun = inner, list[int](), list[float]()
+            self.places = list[Any]()
 
         def sample_ray_differential(self, *arguments: Any) -> Any:
+            self.threads.append(threading.get_ident())
+            self.places.append(arguments[2])
             self.begun.append(now())
-            if self.places is not None:
-                self.places.append(arguments[2])
             return self.inner.sample_ray_differential(*arguments)
 
     return WatchingSensor
+
+
+@functools.cache
+def _order(height: int, width: int) -> tuple[Any, Any]:
+    """Return rows and columns of a block of pixels in the order of its samples, Morton's."""
+    from chdstat.rendering.rays import BLOCK
+
+    number, places = np.arange(BLOCK**2), np.zeros((2, BLOCK**2), np.intp)
+    for bit in range(BLOCK.bit_length()):
+        for i in (0, 1):
+            places[1 - i] |= (number >> (2 * bit + i) & 1) << bit
+    rows, columns = places[:, (places[0] < height) & (places[1] < width)]
+    return rows, columns
 
 
 class SampleClock:
@@ -84,51 +101,84 @@ class SampleClock:
         The medium that it is in, or None.
     shape
         (height, width) of the tile.
+    seconds
+        What the clock itself takes for a sample, as `seconds_of_clock` measures it.
     """
 
-    def __init__(self, mi: Any, sensor: Any, medium: Any, shape: tuple[int, int]) -> None:
-        self._sensor, self._shape = sensor, shape
-        self._watched = _watching(mi.Sensor)(mi, sensor)
+    def __init__(
+        self, mi: Any, sensor: Any, medium: Any, shape: tuple[int, int], seconds: float = 0.0
+    ) -> None:
+        self._sensor, self._shape, self._of_clock = sensor, shape, seconds
+        self.watched = _watching(mi.Sensor)(mi, sensor)
         if medium is not None:
-            self._watched.set_medium(medium)
-        self._order: Any = None
-        self._plain, self._timed = list[float](), list[Floats]()
+            self.watched.set_medium(medium)
+        self._timed = list[Floats]()
 
     @contextlib.contextmanager
     def of_pass(self, sample: int) -> Iterator[Any]:
         """Yield the sensor that draws a sample of each pixel."""
         if sample % _EVERY != 1:
-            begun = now()
             yield self._sensor
-            self._plain.append(now() - begun)
             return
         with _ONE_AT_A_TIME:
-            self._watched.begun.clear()
-            yield self._watched
-            self._timed.append(np.diff([*self._watched.begun, now()]))
-            if self._order is None:
-                height, width = self._shape
-                columns, rows = np.array(self._watched.places).T * [[width], [height]]
-                self._order = rows.astype(np.intp), columns.astype(np.intp)
-                self._watched.places = None
+            for held in (self.watched.threads, self.watched.begun, self.watched.places):
+                held.clear()
+            yield self.watched
+            self._timed.append(self._by_pixel() - self._of_clock)
 
     @property
     def costs(self) -> SampleCosts | None:
-        """What the samples of the pixels take; None if no pass was timed, or all were."""
-        if not self._timed or not self._plain:
+        """What the samples of the pixels take; None if no pass was timed."""
+        if not self._timed:
             return None
-        times = np.array(self._timed)
-        of_clock = (np.median(times.sum(axis=1)) - np.median(self._plain)) / times.shape[1]
-        # The last sample of a block includes what finishes the block: its neighbours stand for it.
-        for last in np.flatnonzero(self._ends_block()):
-            times[:, last] = times[:, max(last - 3, 0) : max(last, 1)].mean(axis=1)
-        by_pixel = np.empty((*self._shape, len(times)))
-        by_pixel[self._order] = uninterrupted(times).T - of_clock
-        return SampleCosts.of(by_pixel)
+        return SampleCosts.of(uninterrupted(np.stack(self._timed, axis=-1)))
 
-    def _ends_block(self) -> Any:
+    def _by_pixel(self) -> Floats:
+        """Return seconds from the beginning of each sample to that of the next, shape (y, x).
+
+        Threads that wait for their own pass help with that of others, block by block, and each has
+        its own processor time.
+        """
         from chdstat.rendering.rays import BLOCK
 
-        rows, columns = self._order
-        block = rows // BLOCK * self._shape[1] + columns // BLOCK
-        return np.append(block[1:] != block[:-1], True)
+        found, drawn = np.full(self._shape, np.nan), self.watched
+        threads, begun = np.array(drawn.threads), np.array(drawn.begun)
+        for thread in np.unique(threads):
+            calls = np.flatnonzero(threads == thread)
+            while len(calls):
+                across, down = drawn.places[calls[0]]
+                y = int(down * self._shape[0]) // BLOCK * BLOCK
+                x = int(across * self._shape[1]) // BLOCK * BLOCK
+                extent = min(BLOCK, self._shape[0] - y), min(BLOCK, self._shape[1] - x)
+                rows, columns = _order(*extent)
+                own, calls = calls[: len(rows)], calls[len(rows) :]
+                spent = np.diff(begun[own], append=np.nan)
+                # The last sample goes on into what ends the block: neighbours stand for it.
+                spent[-1] = spent[-4:-1].mean() if len(spent) > 1 else np.nan
+                found[y + rows, x + columns] = spent
+        return found
+
+
+def seconds_of_clock(mi: Any, sensor: Any, medium: Any, draw: Callable[[Any, int], Any]) -> float:
+    """Return what the clock takes for a sample: how much longer passes take with it than without.
+
+    Parameters
+    ----------
+    sensor
+        A sensor of part of the image.
+    medium
+        The medium that it is in, or None.
+    draw
+        Draws a pass with a sensor and a seed, in the calling thread.
+    """
+    width, height = map(int, sensor.film().crop_size())
+    watched = SampleClock(mi, sensor, medium, (height, width)).watched
+    taken = []
+    for seed in range(_TRIALS + 1):
+        of_both = []
+        for one in (sensor, watched):
+            begun = now()
+            draw(one, seed)
+            of_both.append(now() - begun)
+        taken.append(of_both[1] - of_both[0])
+    return max(float(np.median(taken[1:])) / (width * height), 0.0)
