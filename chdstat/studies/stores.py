@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 _SPP = 1024
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-SHORT = 3
-"""Longest path, in segments, of the shorter ones: two bounces, as in the case study of Elek et al.
-2019, which compares two with five."""
+SHORT = 4
+"""Longest path, in segments, of the shorter ones. Elek et al. 2019 compare "two and five bounces of
+indirect transport". Direct light takes two segments and each bounce one more: four and seven."""
 ROULETTE = 1
 """First segment at which the other integrator plays Russian roulette: it solves the same equation
 with other samples. `volpath` in place of `path` would not do: without media, its shapes of CHDs are

@@ -217,7 +217,7 @@ def study(
 ) -> Study:
     """Render scenes, or continue earlier renders, and test all claims of the paper in them.
 
-    Each scene is rendered up to four times: the image; with paths of at most three segments, at
+    Each scene is rendered up to four times: the image; with paths of at most four segments, at
     half the samples; with another seed, at half the samples; and, unless the scene is a file, with
     Russian roulette from the first segment on, at a quarter of the samples. A `sampler` adds one
     render, `integrators` adds up to seven. If another seed gives the opposite verdict, the finding
