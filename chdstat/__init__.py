@@ -55,6 +55,7 @@ DOORS = {
     "read_reference": "io.reference_files",
     "regions_of": "patterns.pixel",
     "report": "reporting.ranking_report",
+    "untrusted": "patterns.classification",
 }
 """The module that fills each door of `chdstat._core.doors`: this one stands outside the rings."""
 

@@ -84,3 +84,5 @@ regions_of: Door[Any] = Door("regions_of", "looked at region by region")
 """Return the `chdstat.patterns.Regions` of samples at places by name."""
 classified: Door[Any] = Door("classified", "classified")
 """Return the dataset of `chdstat.classify` of samples."""
+untrusted: Door[Any] = Door("untrusted", "looked at for variances that cannot be trusted")
+"""Return where the variance of the luminance of samples cannot be trusted, shape (y, x)."""

@@ -16,7 +16,8 @@ variances, too, with any tails.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -35,7 +36,7 @@ from chdstat._core.arrays import (
     plain,
 )
 from chdstat._core.display import Tabled, capital, percent
-from chdstat._core.doors import classified
+from chdstat._core.doors import classified, untrusted
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
 from chdstat._core.statistic import RADIANCE
@@ -58,6 +59,9 @@ TIMING = 1.7
 each of five scenes, on a busy machine, differed by up to 1.6."""
 _PICK = 8
 """Least samples that tell patterns, and as many others that tell what they hold."""
+_TELLING = 2**14
+"""Most pixels that tell patterns: of a larger image, those of every second, third... row and
+column."""
 _PATTERNS = 3
 """Most patterns by which the noise of a render is explained."""
 _APART = 4
@@ -501,12 +505,11 @@ def noise_ranking(
     mean = np.where(known, np.tensordot(weights / weights.sum(), np.nan_to_num(light), 1), np.nan)
     scale = relative_scale(mean)
     noise = np.stack([render.noise(scale) for render in lit])
-    shown = {
-        name: classified(render.samples, progress=progress)
-        for name, render in zip(names, lit, strict=True)
+    suspect = {
+        render.name: untrusted(render.samples, progress=progress)
+        for render in lit
         if patterns and _has_patterns(render.samples)
     }
-    suspect = {name: _doubtful(found) for name, found in shown.items()}
     seconds = {render.name: render.seconds for render in renders}
     timed = all(np.isfinite(each) for each in seconds.values())
     ats: list[At] = ["equal spp", "equal time"] if timed else ["equal spp"]
@@ -531,7 +534,7 @@ def noise_ranking(
         maps=_dataset(renders, scale, _numbered(least, lit, renders), q, ats),
         spp={render.name: render.samples.spp_range for render in renders},
         seconds=seconds,
-        causes=tuple(_explanations(lit, noise, scale, orders["equal spp"], shown, progress)),
+        causes=tuple(_explanations(lit, noise, scale, orders["equal spp"], {*suspect}, progress)),
         doubtful=doubtful,
         examples=_examples(lit, noise, least[0], orders["equal spp"]),
         settings=_settings(renders),
@@ -543,11 +546,6 @@ def noise_ranking(
 def _has_patterns(samples: Samples) -> bool:
     """Return whether the patterns of a render can be told: not of averages, or odd channels."""
     return samples.attrs.get("averaged", 1) == 1 and samples.shape[2] in (1, 3)
-
-
-def _doubtful(found: Any) -> Mask:
-    """Return where the variance of a pixel cannot be trusted, shape (y, x)."""
-    return np.asarray(found["long_tail"].to_numpy() | found["firefly_dominated"].to_numpy(), bool)
 
 
 def _orders(
@@ -774,25 +772,32 @@ def _explanations(
     noise: Floats,
     scale: Floats,
     order: NoiseOrder,
-    shown: Mapping[str, Any],
+    having_patterns: Set[str],
     progress: bool,
 ) -> Iterator[NoiseCause]:
     """Yield what the noise of each render comes from that is surely noisier than the first.
 
     A pattern is named if it surely holds some of the additional noise. Samples that pick the pixels
-    do not measure them.
+    do not measure them. Of a large image, `_TELLING` pixels tell.
     """
     least, names = order.names[0], [render.name for render in renders]
-    if least not in shown:
+    noisier = [
+        renders[names.index(name)]
+        for name in order.names[1:]
+        if order.surely(least, name)
+        and {least, name} <= having_patterns
+        and renders[names.index(name)].samples.spp >= 2 * _PICK
+    ]
+    if not noisier:
         return
-    of_first = noise[names.index(least)]
-    null_of_first = shown[least]["null_heavy_statistic"].to_numpy()
-    for name in order.names[1:]:
-        render = renders[names.index(name)]
-        if not (order.surely(least, name) and name in shown and render.samples.spp >= 2 * _PICK):
-            continue
-        picked = classified(render.samples.isel(sample=slice(0, None, 2)), progress=progress)
-        own, null = _measured(render, scale)
+    step = math.ceil(math.sqrt(scale.size / _TELLING))
+    some = slice(0, None, step)
+    of_first = noise[names.index(least)][some, some]
+    _, null_of_first = _measured(renders[names.index(least)], scale, some)
+    for render in noisier:
+        half = render.samples.isel(y=some, x=some, sample=slice(0, None, 2))
+        picked = classified(half, progress=progress)
+        own, null = _measured(render, scale, some)
         known = (np.isfinite(own) & np.isfinite(of_first)).ravel()
         if not known.any():
             continue
@@ -809,7 +814,7 @@ def _explanations(
             if not share.low > 0:
                 continue
             yield NoiseCause(
-                name=name,
+                name=render.name,
                 least=least,
                 pattern=flag_names(picked["label"].attrs)[int(code)],
                 pixels=float(here.mean()),
@@ -821,8 +826,8 @@ def _explanations(
 
 
 @np.errstate(all="ignore")
-def _measured(render: RankedRender, scale: Floats) -> tuple[Floats, Floats]:
-    """Return noise and the share of null samples by every other sample, each (y, x)."""
+def _measured(render: RankedRender, scale: Floats, some: slice) -> tuple[Floats, Floats]:
+    """Return noise and the share of null samples, by every other sample, in some pixels."""
     samples = render.samples.isel(sample=slice(1, None, 2))
     variance, null = np.full(scale.shape, np.nan), np.full(scale.shape, np.nan)
     for ys, xs in tiles(samples.shape):
@@ -832,7 +837,8 @@ def _measured(render: RankedRender, scale: Floats) -> tuple[Floats, Floats]:
         squares = np.where(good, (x - mean[..., np.newaxis]) ** 2, 0).sum(axis=-1)
         variance[ys, xs] = squares / (count - 1)
         null[ys, xs] = (good & (light == 0)).sum(axis=-1) / count
-    return replace(render, variance=variance).noise(scale), null
+    measured = replace(render, variance=variance).noise(scale)
+    return measured[some, some], null[some, some]
 
 
 def _examples(

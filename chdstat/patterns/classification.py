@@ -29,24 +29,35 @@ from chdstat._core.arrays import (
     place_attributes,
 )
 from chdstat._core.display import Card, Shown, number, percent, with_interval
-from chdstat._core.doors import classified
+from chdstat._core.doors import classified, untrusted
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import MapKind, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.error_bars import (
     HOLDS,
+    LEAST,
+    Bar,
     ErrorBars,
+    pooled_bars,
     shape_variables,
     spp_in_words,
     with_pooled_bars,
 )
 from chdstat.fit.families import FAMILIES
+from chdstat.fit.tail import TailIndex, is_infinite
 from chdstat.patterns.cures import cure_in, renderer_of
-from chdstat.patterns.definitions import BODIES, PATTERNS, Thresholds, body_of, gather
+from chdstat.patterns.definitions import (
+    BODIES,
+    PATTERNS,
+    Thresholds,
+    body_of,
+    firefly_limit,
+    gather,
+)
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -509,4 +520,33 @@ def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float
     return left, top, right, bottom
 
 
+def untrusted_variance(samples: Samples, *, progress: bool = True) -> Mask:
+    """Return where `classify` flags a long tail or a firefly, at an eighth of its cost; (y, x).
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).gamma(2.0, size=(4, 4, 1, 128))
+    >>> x[1, 2, 0, 7] = 1e4
+    >>> np.argwhere(untrusted_variance(Samples.from_array(x), progress=False)).tolist()
+    [[1, 2]]
+    """
+
+    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+        part = PositivePart.of_pixels(block, rows="luminance")
+        bars = measured(part, Bar())
+        firefly = np.asarray(part.largest_share > firefly_limit(part.n, _DEFAULT))
+        infinite = np.zeros(firefly.shape, bool)
+        if (part.n_good < LEAST).any():  # pixels with fewer have no error bars to judge
+            infinite = np.asarray(is_infinite(measured(part, TailIndex())))
+        own = {"firefly": ((), firefly), "infinite": ((), infinite)}
+        return {**own, **shape_variables(bars, (), "")}
+
+    found = samples.map(of_block, description="judging variances", progress=progress)
+    at_hand = {name: of.to_numpy() for name, of in found.items()}
+    coverage = pooled_bars(at_hand["shape"], at_hand["shape_samples"]).coverage
+    fails = np.where(np.isfinite(coverage), 1 - coverage > _DEFAULT.misses, at_hand["infinite"])
+    return np.asarray(fails | at_hand["firefly"])
+
+
 classified.register(Samples, classify)
+untrusted.register(Samples, untrusted_variance)

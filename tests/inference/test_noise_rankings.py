@@ -13,6 +13,7 @@ import chdstat as chd
 from chdstat._core import progress
 from chdstat._core.resampling import Blocks, Interval
 from chdstat.errors import InputError, LeftOutWarning
+from chdstat.inference import noise_rankings
 from chdstat.inference.noise_rankings import NoiseOrder, RankedRender, noise_ranking
 from chdstat.samples import Samples
 from chdstat.viz.several_renders import _differing
@@ -62,7 +63,9 @@ def test_each_render_wins_where_it_is_less_noisy(ranked):
     assert shares["A"][0] == pytest.approx(0.5, abs=0.1)
 
 
-def test_excess_noise_is_explained_by_the_pattern_that_has_it():
+@pytest.mark.parametrize("telling", [noise_rankings._TELLING, 256])
+def test_excess_noise_is_explained_by_the_pattern_that_has_it(telling, monkeypatch):
+    monkeypatch.setattr(noise_rankings, "_TELLING", telling)
     null_heavy = image(0.1, seed=1, spp=2 * SPP)  # half of them tell the patterns
     rng = np.random.default_rng(2)
     hit = rng.random(null_heavy.shape) < 0.25

@@ -20,6 +20,7 @@ from chdstat.patterns import (
     classify,
     simulate,
 )
+from chdstat.patterns.classification import untrusted_variance
 from tests.patterns.flag_scores import flag_scores, penultimate_index, random_chds
 
 SPP = 1024
@@ -260,6 +261,16 @@ def test_image():
         assert pattern.source in dataset[pattern.name].attrs["source"]
     for variable in dataset.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
+
+
+@pytest.mark.parametrize("spp", [32, 256])
+def test_variances_that_cannot_be_trusted_are_those_of_long_tails_and_fireflies(spp):
+    kinds = ["gamma", "long-tail", "null-heavy", "firefly"]
+    samples = chd.simulate(kinds, shape=(16, 16), spp=spp, seed=2)
+    found = chd.classify(samples, progress=False)
+    flagged = (found["long_tail"] | found["firefly_dominated"]).to_numpy()
+    assert 0 < flagged.mean() < 1
+    np.testing.assert_array_equal(untrusted_variance(samples, progress=False), flagged)
 
 
 def test_labels_of_regions_agree_with_their_neighbours():
