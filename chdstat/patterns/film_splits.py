@@ -56,17 +56,24 @@ class FilmSplit(Result):
         make the latter negative.
     places_error
         Standard error of `places`.
+    places_limit
+        Variance between places that ever smaller cells would have, as at edges: twice `places` less
+        that of cells twice as large, since an edge through cells hides 1/k of its variance in them.
+        It is noisier, and for sums over pixels.
     share, share_interval
         Share of `places` in the sum of both, and its 95 % interval, shape (..., 2). Where samples
         miss rare bright paths, which belong to `paths`, only the upper end holds.
     p_value
         Of radiance that does not depend on the place.
+    cells
+        Cells k along each edge.
     """
 
     variance: Floats = variable("variance of a sample", unit=_UNIT)
     paths: Floats = variable("variance of a sample at a fixed place in the pixel", unit=_UNIT)
     places: Floats = variable("variance between places in the pixel", unit=_UNIT)
     places_error: Floats = variable("standard error of the variance between places", unit=_UNIT)
+    places_limit: Floats = variable("variance between places, of ever smaller cells", unit=_UNIT)
     share: Floats = variable("share of the variance that is between places in the pixel")
     share_interval: Floats = variable("95 % interval of the share between places", "bound")
     p_value: Floats = variable(
@@ -74,6 +81,7 @@ class FilmSplit(Result):
         rejected="whether radiance depends on the place in the pixel",
     )  # fmt: skip
     reason: npt.NDArray[np.int8] = variable("why the variance is not split")
+    cells: int
 
     def in_words(self, row: int, *, holds: bool = True) -> str:
         """Return what a row's variance comes from; `holds` says whether its error bar is trusted.
@@ -89,19 +97,19 @@ class FilmSplit(Result):
         if self.reason[row] != Reason.OK:
             return f"cannot be told: {reasons(self.reason[row])}"
         low, high = map(float, self.share_interval[row])
-        step = step_of(low, high)
-        most = percent(high, step=step)
+        most = percent(high, step=step_of(low, high))
+        between = f"between its {self.cells} × {self.cells} parts"
         if self.p_value[row] > _LEVEL:
-            return f"no change of the picture within the pixel is seen: at most {most} of it"
+            return f"no change of the picture within the pixel is seen: {between}, at most {most}"
         share = with_interval(max(float(self.share[row]), 0.0), low, high, percent)
         if holds:
             return (
-                f"{share} is the picture changing within the pixel, which strata over it take "
+                f"{share} is the picture changing within the pixel, {between}, which strata take "
                 "away; the rest is of paths"
             )
         return (
-            f"{share} of what the samples show is the picture changing within the pixel; bright "
-            f"paths that they may miss would leave less: at most {most}"
+            f"{share} of what the samples show is the picture changing within the pixel, {between};"
+            f" bright paths that they may miss would leave less: at most {most}"
         )
 
 
@@ -181,7 +189,8 @@ def film_split(
     xarray.Dataset
         ``variance`` of a sample, ``paths``, ``places`` and ``places_error``, all (y, x) in squared
         radiance; NaN where ``reason`` says why. The parts add up to the variance within their
-        noise. ``share`` is that of ``places``, with a 95 % ``share_interval`` (bound) by leaving
+        noise. ``places_limit`` extrapolates ``places`` to ever smaller cells, for sums over pixels.
+        ``share`` is that of ``places``, with a 95 % ``share_interval`` (bound) by leaving
         groups of samples out; where samples miss rare bright paths, only its upper end holds.
         ``p_value`` is of radiance that does not depend on the place. ``share_told`` is the share
         where that is rejected over the image, at a false discovery rate of 5 %.
@@ -327,7 +336,9 @@ def split_by_place(
             *whole[:2], *(v.sum(axis=-1) for v in (flat**2, flat**2 * flat**2))
         )
         constant = variance <= (CONSTANT_SPREAD * mean) ** 2
-    numbers = (variance, within, between, _jackknifed(left_out[1]), share, interval, p_value)
+    error = _jackknifed(left_out[1])
+    limit = 2 * between - _of_cells(_coarse(whole, k))[1]
+    numbers = (variance, within, between, error, limit, share, interval, p_value)
     reason = first_of(
         {
             Reason.ALL_BAD: count == 0,
@@ -338,7 +349,13 @@ def split_by_place(
     )
     for values in numbers:
         values[reason != Reason.OK] = np.nan
-    return FilmSplit(*(v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)))
+    return FilmSplit(*(v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)), k)
+
+
+def _coarse(sums: Floats, k: int) -> Floats:
+    """Return the sums of cells twice as large, of those of k x k cells, (3, row, cell)."""
+    fine = sums.reshape(*sums.shape[:2], k // 2, 2, k // 2, 2)
+    return fine.sum(axis=(3, 5)).reshape(*sums.shape[:2], -1)
 
 
 def _jackknifed(found: Floats) -> Floats:

@@ -363,6 +363,8 @@ class SceneData:
     def split_of_noise(self) -> tuple[Floats, Floats]:
         """Variance of paths and between places in the pixel, weighted as in relMSE, (pixel,).
 
+        That between places is extrapolated to ever smaller cells.
+
         Raises
         ------
         MissingDataError
@@ -371,8 +373,8 @@ class SceneData:
         split = required(self.film_split, "where samples fell in their pixels (film=True)")
         mean = luminance(self.summary["mean"].to_numpy().astype(np.float64), channel_axis=-1)
         scale = relative_scale(mean)
-        paths, places = ((split[name].to_numpy() / scale).ravel() for name in ("paths", "places"))
-        return paths, places
+        places = (split["places_limit"].to_numpy() / scale).ravel()
+        return ((split["paths"] + split["places"]).to_numpy() / scale).ravel() - places, places
 
     @cached_property
     def batch_light(self) -> Floats:
