@@ -349,13 +349,14 @@ def split_by_place(
     )
     for values in numbers:
         values[reason != Reason.OK] = np.nan
-    return FilmSplit(*(v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)), k)
+    found: list[Any] = [v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)]
+    return FilmSplit(*found, cells=k)
 
 
 def _coarse(sums: Floats, k: int) -> Floats:
     """Return the sums of cells twice as large, of those of k x k cells, (3, row, cell)."""
     fine = sums.reshape(*sums.shape[:2], k // 2, 2, k // 2, 2)
-    return fine.sum(axis=(3, 5)).reshape(*sums.shape[:2], -1)
+    return np.asarray(fine.sum(axis=(3, 5)).reshape(*sums.shape[:2], -1))
 
 
 def _jackknifed(found: Floats) -> Floats:
