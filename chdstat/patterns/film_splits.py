@@ -349,8 +349,9 @@ def split_by_place(
     )
     for values in numbers:
         values[reason != Reason.OK] = np.nan
-    found: list[Any] = [v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)]
-    return FilmSplit(*found, cells=k)
+    found = [v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)]
+    fields: list[Any] = [*found, k]
+    return FilmSplit(*fields)
 
 
 def _coarse(sums: Floats, k: int) -> Floats:
