@@ -33,7 +33,7 @@ from chdstat.io import (
     write_image,
     write_reference,
 )
-from chdstat.patterns import Thresholds, agreement, attribute
+from chdstat.patterns import Thresholds, agreement, attribute, film_split
 from chdstat.recording.cycles import CyclesSource
 from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.render_tests.checks import verdict_on
@@ -672,6 +672,7 @@ STATISTICS: Table = {
         (np.ones((2, 30)), "1 or 3 channels", "2"),
     ],
     (InputError, agreement): [(np.zeros(4, int), "shape")],
+    (InputError, film_split): [(SAMPLES, "film=True", "--film")],
     (InputError, attribute): [(np.ones((2, 2, 3, 8)), "--by-depth")],
     (InputError, SAMPLES.regions): [(({},), "at least one region")],
     (InputError, partial(render, scene="bathroom")): [

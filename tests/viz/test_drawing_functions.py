@@ -18,6 +18,8 @@ from chdstat import viz
 from chdstat.comparison import Interval, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
+from chdstat.patterns import film_split
+from chdstat.samples.tiles import FILM
 from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.viz.styling import verbatim
 from tests.viz.figures import clashes, texts
@@ -42,6 +44,8 @@ def examples():
     two = {name: RNG.gamma(1.0, size=64) for name in (NAME, "b")}
     pair = {NAME: (5, 5), "b": (4, 5)}
     bars = PlotData("bars", {NAME: (np.zeros(1), np.ones(1))})
+    fell = RNG.random((8, 8, 2, 64)).astype(np.float32)
+    film = chd.Samples(samples.read(), attrs={}, parts={FILM: chd.Samples.from_array(fell)})
     return {
         "atlas": partial(viz.atlas, chd.atlas(samples, clusters=2, progress=False)),
         "averages": partial(
@@ -59,6 +63,7 @@ def examples():
         ),
         "estimator_measures": partial(viz.estimator_measures, compared),
         "finding_plots": partial(viz.finding_plots, {NAME: bars}),
+        "film_split": partial(viz.film_split, film_split(film, progress=False)),
         "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, two),
         "fit_curve": partial(viz.fit_curve, chd.fit.mixture(RNG.gamma(2.0, size=64))),
         "mode_stems": partial(viz.mode_stems, chd.modality(RNG.gamma(2.0, size=(2, 64)))),
@@ -69,6 +74,7 @@ def examples():
         "n_needed": partial(viz.n_needed, labels + 1, [1, 2]),
         "pattern_breakdown": partial(viz.pattern_breakdown, compared.breakdown),
         "pixel_estimates": partial(viz.pixel_estimates, compared.draw_pixels(4)),
+        "pixel_by_place": partial(viz.pixel_by_place, replace(film.pixel(1, 1), scene=NAME)),
         "region_study": partial(viz.region_study, IMAGE, [MARK], [PANEL]),
         "renders_contrasted": partial(
             viz.renders_contrasted,
@@ -104,8 +110,8 @@ def test_it_draws_where_it_is_told_to_and_returns_that(examples, name):
     figure.draw_without_rendering()
 
 
-UNNAMED = {"atlas", "chd_axes", "contrast", "error_curves", "estimator_measures", "fit_curve",
-           "image_map", "map_grid", "mode_stems", "n_needed", "pattern_breakdown",
+UNNAMED = {"atlas", "chd_axes", "contrast", "error_curves", "estimator_measures", "film_split",
+           "fit_curve", "image_map", "map_grid", "mode_stems", "n_needed", "pattern_breakdown",
            "pixel_estimates", "tail_curve", "training", "value_map"}  # fmt: skip
 """Those that are given no names of things."""
 
