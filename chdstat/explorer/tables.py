@@ -293,7 +293,8 @@ def places_table(place: Pixel) -> Table:
 
     ``shades`` has, for each cell, a colour that follows the mean, and one of text on it.
     """
-    means, counts = place.means_by_place or (np.full((1, 1, 1), np.nan), np.zeros((1, 1), int))
+    assert place.means_by_place is not None, "asked for where it is known"
+    means, counts = place.means_by_place
     shown, k = means[-1], len(counts)
     low, high = np.nanmin(shown), np.nanmax(shown)
     level = np.nan_to_num((shown - low) / (high - low if high > low else 1.0))

@@ -236,7 +236,8 @@ class Pixel(Shown):
         """
         if self.places is None:
             return None
-        return means_by_place(self.rows[:, : self.fitted_spp], self.places)
+        means, counts = means_by_place(self.rows[:, : self.fitted_spp], self.places)
+        return (means, counts) if counts.any() else None
 
     def _of_each(self, statistic: Statistic[Found]) -> Found:
         """Return a statistic of each row, also where images have it of luminance alone."""

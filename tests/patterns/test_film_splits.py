@@ -128,6 +128,8 @@ def test_a_pixel_without_places_or_variance_is_silent():
     assert without.variance_by_place == ""
     assert without.means_by_place is None
     assert "of the variance, within the pixel" not in without.told(0)
+    bad = Pixel(0, 0, np.full_like(one.radiance, np.nan), one.channels, "bad", one.parts)
+    assert (bad.variance_by_place, bad.means_by_place) == ("", None)
     still = Pixel(0, 0, np.ones_like(one.radiance), one.channels, "still", one.parts)
     assert still.variance_by_place == ""
     with pytest.raises(InputError, match="film=True"):
