@@ -253,7 +253,7 @@ def by_pixels(function: Callable[..., Mapped], *blocks: Image) -> Mapped:
     size = blocks[0].shape[:2]
     rows = [block.reshape(1, -1, *block.shape[2:]) for block in blocks]
     count = rows[0].shape[1]
-    most = max(_AT_ONCE // max(sum(row[:, :1].nbytes for row in rows), 1), 1)
+    most = max(_AT_ONCE // max(rows[0][:, :1].nbytes, 1), 1)
     parts = []
     for part in spans(count, most):
         with portion((part.stop - part.start) / count):
