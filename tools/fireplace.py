@@ -26,6 +26,8 @@ RESULTS = Path(__file__).parents[1] / "docs" / "understand" / "fireplace.npz"
 SIZE, SPP = (704, 384), 4096
 LIGHTS = ("window-middle", "window-left", "window-right", "room", "lamp")
 """Names that the lights get, which have none, in the order of the file."""
+GROUPS = {"windows": "window-*", "room": "room", "lamp": "lamp"}
+"""Lights that are told apart."""
 IRON, HEARTH = "BlackRaughtIron", "BlackMarble"
 PLACES = {
     "iron front": (183, 212),
@@ -48,7 +50,7 @@ Floats = npt.NDArray[np.float64]
 # --- the scene, and one thing changed in it -------------------------------------------------------
 
 
-def _written(folder: Path, name: str, *edits: Edit) -> Path:
+def written(folder: Path, name: str, *edits: Edit) -> Path:
     """Write the scene with names for its lights, and with changes."""
     source = Path(os.environ["CHDSTAT_SCENES"], "white-room", "scene_day_pbrt.xml")
     root = ElementTree.parse(source).getroot()  # noqa: S314 - the user's own
@@ -170,7 +172,7 @@ def _luminance(samples: chd.Samples) -> Floats:
 
 
 def kinds(
-    scene: object, place: tuple[int, int], lights: Mapping[str, str]
+    scene: object, place: tuple[int, int], **options: object
 ) -> tuple[chd.Samples, Floats, list[str]]:
     """Return samples, parts of their luminance by light and length of path, and the parts' names.
 
@@ -178,11 +180,11 @@ def kinds(
     """
     by_length = []
     for depth in (2, 3, None):
-        samples = _drawn(scene, place, max_depth=depth, by_light=[*lights.values()])
+        samples = _drawn(scene, place, max_depth=depth, by_light=[*GROUPS.values()], **options)
         by_length.append([_luminance(part) for part in samples.lights.values()])
     parts = np.diff(np.array(by_length), axis=0, prepend=0)
     lengths = ("direct", "one bounce", "more bounces")
-    names = [f"{light}, {length}" for length in lengths for light in lights]
+    names = [f"{light}, {length}" for length in lengths for light in GROUPS]
     return samples, parts.reshape(-1, *parts.shape[2:]), names
 
 
@@ -204,10 +206,10 @@ def _counted(light: Floats) -> Floats:
 
 
 def of_place(
-    scene: object, place: tuple[int, int], lights: Mapping[str, str]
+    scene: object, place: tuple[int, int], **options: object
 ) -> tuple[dict[str, Floats], dict[str, object]]:
     """Return the histograms of a place, by channel and kind, and its numbers."""
-    samples, parts, names = kinds(scene, place, lights)
+    samples, parts, names = kinds(scene, place, **options)
     total = _luminance(samples)
     largest = np.where(total > 0, parts.argmax(axis=0), -1)
     rows = {}
@@ -252,10 +254,10 @@ def _fullest(light: Floats) -> float:
 
 def changed(folder: Path, place: tuple[int, int]) -> tuple[dict[str, Floats], dict[str, object]]:
     """Return histograms and numbers of a place with one thing changed at a time."""
-    base = _drawn(_written(folder, "as it is"), place)
+    base = _drawn(written(folder, "as it is"), place)
     held, rows = {"as it is": _counted(_luminance(base))}, {}
     for name, edits in CHANGES.items():
-        scene = _written(folder, name, *edits)
+        scene = written(folder, name, *edits)
         depth = 2 if name == "direct light alone" else None
         samples = _drawn(scene, place, seed=2, max_depth=depth)
         light = _luminance(samples)
@@ -290,12 +292,11 @@ def main() -> None:
     """Measure all places and changes, and write the results."""
     held: dict[str, npt.NDArray[np.float32]] = {}
     about: dict[str, object] = {"spp": SPP, "size": SIZE, "places": {}, "changes": {}}
-    lights = {"windows": "window-*", "room": "room", "lamp": "lamp"}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        scene = _written(folder, "as it is")
+        scene = written(folder, "as it is")
         for name, place in PLACES.items():
-            found, about["places"][name] = of_place(scene, place, lights)
+            found, about["places"][name] = of_place(scene, place)
             held |= {f"{name}/{key}": array.astype(np.float32) for key, array in found.items()}
             sys.stdout.write(f"{name}: {json.dumps(about['places'][name], indent=1)}\n")
         for name in ("iron front", "side of the firebox"):
