@@ -54,7 +54,7 @@ DOORS = {
     "pixel_of": "patterns.pixel",
     "read_reference": "io.reference_files",
     "regions_of": "patterns.pixel",
-    "report": "reporting.ranking_report",
+    "report": "reporting",
     "untrusted": "patterns.classification",
 }
 """The module that fills each door of `chdstat._core.doors`: this one stands outside the rings."""

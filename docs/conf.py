@@ -35,6 +35,7 @@ extensions = [
     "commands",
     "docstrings",
     "families",
+    "paper",
     "figures",
     "formats",
     "listed",

@@ -797,6 +797,13 @@ REPORTS: Table = {
         ({"scenes": "cornell-box", "sampler": "sobol"}, "sampler", "'sobol'"),
         ({"scenes": PLAIN, "sampler": "multijitter", "estimators": ["mean"]}, "sampler"),
     ],
+    (InputError, chd.studies.paper): [
+        ({"changed": ["tagets"]}, "'tagets'", "targets"),
+        ({"only": ["Kitchen"]}, "'Kitchen'", "Bathroom"),
+        ({"spp": 32}, "at least 64", "32"),
+        ({"edge": 0}, "edge", "0"),
+        ({"scenes": "nowhere"}, "one of the paper's scenes", "nowhere/bathroom/scene.xml"),
+    ],
     (SceneError, partial(chd.study, folder=None)): [("cornel-box", "did you mean 'cornell-box'")],
     (StoreError, partial(chd.study, "cornell-box", size=(4, 4), spp=64)): [
         ({"folder": "x.txt"}, "x.txt")

@@ -34,7 +34,7 @@ from chdstat.scenes import load_plugin
 _INTERRUPTED = 130
 _TO_MEND = 2
 """Exit code of errors that a user can act on, as of wrong options; a crash ends with 1."""
-_RESUMED = ("render", "import", "study", "--store")
+_RESUMED = ("render", "import", "study", "paper", "--store")
 """Commands and options for which the same command line resumes after an interruption."""
 _PLACES = ("-o", "--out", "--store")
 """Options that name what such a command line writes."""

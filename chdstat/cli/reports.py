@@ -13,7 +13,9 @@ from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
+    FromOne,
     OptionalWords,
+    Place,
     ScenesOrStores,
     StorePath,
     Words,
@@ -118,7 +120,6 @@ def report(
     recipe: Path | None = None,
     full: bool = False,
     claims: bool = False,
-    as_published: bool = False,
 ) -> None:
     """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps.
 
@@ -134,12 +135,9 @@ def report(
         Add the case study, the claims of the paper, averages and trainings.
     claims : bool
         Only test the claims of the paper.
-    as_published : bool
-        Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.
     """
     import chdstat
     from chdstat.reporting.documents import pages_of
-    from chdstat.scenes import Scene
 
     asked.target(out, ".pdf")
     if full and claims:
@@ -148,18 +146,7 @@ def report(
     if len(sources) > 1 and (full or claims):
         message = f"{'--full' if full else '--claims'} is for a report on one render: leave it out"
         raise InputError(message)
-    given: list[Path | Scene] = [asked.source(one) for one in sources]
-    if as_published and isinstance(given[0], Scene):
-        from chdstat.reporting.scene_report import published_seconds
-
-        backend = asked.settings.get("backend", "auto")
-        hours = published_seconds(given[0], recipe, backend=backend) / 3600
-        kept = asked.store or out.with_suffix(".zarr")
-        typer.echo(
-            f"rendering as published takes about {hours:.1f} h here, the rest about as long; "
-            f"samples are kept in {kept}, and the same command resumes",
-            err=True,
-        )
+    given = [asked.source(one) for one in sources]
     path = chdstat.report(
         given if len(given) > 1 else given[0],
         out,
@@ -168,7 +155,6 @@ def report(
         store=asked.store,
         estimators=asked.estimator or None,
         iterations=asked.iterations,
-        as_published=as_published,
         progress=asked.progress,
         **asked.settings,
     )
@@ -235,6 +221,72 @@ def study(
         typer.echo(f"wrote {out}, {pages_of(out)} pages", err=asked.as_json)
     first = found.scenes[0].name
     output.say_next(asked.quiet, ("report", first, "-o", f"{first}.pdf"))
+
+
+@command(
+    "paper -o paper.pdf",
+    *("spp", "iterations", "backend", "overwrite", *OUTPUT),
+    spp="2048, the paper's 2k",
+    iterations="30,000, as in the paper; 3000 if quick",
+)
+def paper(
+    asked: CommonOptions,
+    out: Path,
+    scenes: Place | None = None,
+    only: list[str] | None = None,
+    change: list[str] | None = None,
+    quick: bool = False,
+    edge: FromOne = None,
+    store: Place | None = None,
+) -> None:
+    """Repeat the paper's experiment: every figure and table of it over its scenes, in a PDF.
+
+    The network is as published unless a choice is changed; ours stands beside it. A stopped run
+    goes on where it was.
+
+    Parameters
+    ----------
+    out : path
+        The PDF to write.
+    scenes : FOLDER, default built-in remakes
+        Folder with the paper's own scenes, bathroom and white-room, as the recipes of real-*.toml
+        name their files.
+    only : NAME, default all four
+        Bathroom, WhiteRoom, NightRoom or MeasureOne; can be repeated.
+    change : NAME, default none: as published
+        Choice that is not the paper's: targets, pixels, validation, judging, patience or channels;
+        can be repeated.
+    quick : bool
+        Small images and a tenth of the training: minutes in place of an hour.
+    edge : N, default 128, or 40 if quick
+        Pixels along the longer edge; the paper's images have 800.
+    store : FOLDER, default beside the PDF
+        Folder that keeps renders and networks.
+    """
+    from chdstat.reporting.documents import pages_of
+    from chdstat.studies import paper as repeated
+
+    asked.target(out, ".pdf")  # refused before the work, not after
+    found = repeated(
+        store or out.with_name(f"{out.stem}-renders"),
+        scenes=scenes,
+        only=only,
+        quick=quick,
+        changed=change or (),
+        edge=edge,
+        spp=asked.spp,
+        iterations=asked.iterations,
+        backend=asked.settings.get("backend", "auto"),
+        progress=asked.progress,
+    )
+    found.save_pdf(out)
+    if asked.as_json:
+        output.print_json(found.to_dict())
+    else:
+        rows = found.to_dataframe().to_dict("records")
+        output.print_rows(rows, {key: key for key in rows[0]}, text=["network"])
+    typer.echo(f"wrote {out}, {pages_of(out)} pages", err=asked.as_json)
+    output.say_next(asked.quiet, ("study", "bathroom", "-o", "bathroom.pdf"))
 
 
 @command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "frame", "plugin")

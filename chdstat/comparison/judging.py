@@ -458,3 +458,31 @@ def _errors_of_batch(
         if number == 0:
             estimates.append(estimate.astype(np.float32))
     return sums, int((~usable).sum()), estimates, reference if number == 0 else None
+
+
+def judged_image(
+    estimates: Sequence[Array], mean: Array, reference: Judge, units: Units, scene_mean: Array
+) -> dict[str, Interval[Array]]:
+    """Return the measures of estimates of an image from one batch.
+
+    Parameters
+    ----------
+    estimates, mean
+        Estimates of the image, and the mean of the same samples, each of shape (y, x, channel).
+    reference
+        Of the image.
+    units
+        The pixels that judge.
+    scene_mean
+        Mean radiance of the scene, shape (channel,).
+    """
+    truth, of_mean = reference[units.ys, units.xs], units(mean)
+    usable = np.asarray(np.isfinite(truth.mean).all(axis=-1))
+    sums = []
+    for image in (mean, *estimates):
+        found = np.zeros((len(usable), len(SUMS), mean.shape[-1]))
+        found[usable] = errors_of(
+            units(image)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
+        )
+        sums.append(units.sum(found))
+    return measures_of(np.stack(sums, axis=2), seed=0)

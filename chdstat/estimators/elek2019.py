@@ -18,7 +18,7 @@ thread makes the result repeatable.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -62,8 +62,6 @@ PAPER = "elek2019"
 """Name of the network of the paper."""
 RECORD_EVERY = 100
 """Iterations between two rows of the history."""
-_VALIDATION_ROWS = 16_384
-"""At most so many validation rows are evaluated for a row of the history."""
 _ROWS_AT_ONCE = 65_536
 _OCTAVES = np.arange(-5, 5)
 """Classes of brightness: octaves of the mean of an estimate's samples, in units of the training
@@ -88,8 +86,8 @@ class Preset:
     hidden
         Neurons of each dense layer (ReLU, chosen here); one linear output follows.
     pixels
-        Pixels drawn for training: 6400 if at least a quarter of the image remains for judging (93 x
-        93 pixels or more), else half of the image.
+        Pixels drawn for training: 6400. With `spare`, at least a quarter of the image must remain
+        for judging (93 x 93 pixels or more); else half of the image trains.
     validation_share
         Share of the batches that are used for validation only.
     iterations
@@ -105,6 +103,17 @@ class Preset:
     scaling
         Radiance is divided by one constant, the mean training reference, and multiplied by it
         afterwards, so that training does not depend on the unit of radiance; chosen here.
+    leave_out
+        Whether the target of a batch is the mean of the other samples of its pixel; the paper's is
+        that of all of them.
+    spare
+        Whether to leave pixels for judging; the paper does not say.
+    validation_rows
+        At most so many validation rows are evaluated for a row of the history; None for all, as the
+        paper has it.
+    patience
+        Stop after so many iterations without a smaller validation loss, and take the weights that
+        had the smallest; None trains to the end, as the paper does.
     """
 
     name: str
@@ -119,6 +128,10 @@ class Preset:
     optimiser: str = "adam"
     initialisation: str = "he-uniform"
     scaling: str = "training mean"
+    leave_out: bool = True
+    spare: bool = True
+    validation_rows: int | None = 16_384
+    patience: int | None = None
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -128,6 +141,107 @@ class Preset:
 
 PRESETS = {PAPER: Preset(name=PAPER, source="Elek, Thomas and Forbes 2019")}
 """Published networks by name."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A choice in which a network here may differ from the paper's, and how to switch it.
+
+    Attributes
+    ----------
+    name
+        Name of the switch.
+    paper
+        What the paper does, or leaves open.
+    other
+        What is done otherwise, and why.
+    published, changed
+        Fields of `Preset` that make it so; none where the choice is not about training.
+    ours
+        Whether the library's own network takes the other way.
+    """
+
+    name: str
+    paper: str
+    other: str
+    published: Mapping[str, Any] = field(default_factory=dict)
+    changed: Mapping[str, Any] = field(default_factory=dict)
+    ours: bool = True
+
+
+CHOICES = {
+    choice.name: choice
+    for choice in (
+        Choice(
+            "targets",
+            "The target of a batch is the mean of all samples of its pixel, the batch among them.",
+            "The mean of the other samples: else the network learns to trust noise that its target "
+            "shares with it.",
+            {"leave_out": False},
+            {"leave_out": True},
+        ),
+        Choice(
+            "pixels",
+            "6400 pixels train, however many remain; all of a smaller image.",
+            "At least a quarter of the image does not train, or half of one below 93 × 93 pixels: "
+            "somebody must judge.",
+            {"spare": False},
+            {"spare": True},
+        ),
+        Choice(
+            "validation",
+            "The validation loss is that of a tenth of all batches.",
+            "That of at most 16,384 rows of them: the same curve in less time.",
+            {"validation_rows": None},
+            {"validation_rows": PRESETS[PAPER].validation_rows},
+        ),
+        Choice(
+            "judging",
+            "All pixels judge, those that trained among them, by the mean of all their samples.",
+            "Pixels that did not train, by samples that no estimate has seen, without the noise "
+            "of these: as in all comparisons here.",
+        ),
+        Choice(
+            "patience",
+            "All 30,000 iterations are done, and the last weights taken.",
+            "2000 iterations after the smallest validation loss it ends, and takes the weights of "
+            "that: reports on a scene do so, for more takes long and gains little.",
+            {"patience": None},
+            {"patience": 2000},
+            ours=False,
+        ),
+        Choice(
+            "channels",
+            "“A separate network for each tested scene”: whether R, G and B share it, the paper "
+            "leaves open. They do here.",
+            "A network for each channel: the other reading.",
+            ours=False,
+        ),
+    )
+}
+"""What the paper does and the library, or a part of it, does otherwise, by name of the switch."""
+
+
+def as_published(*changed: str) -> Preset:
+    """Return the paper's network as published, but for some of `CHOICES`.
+
+    Raises
+    ------
+    InputError
+        If there is no choice of that name.
+
+    Examples
+    --------
+    >>> as_published().leave_out, as_published("targets").leave_out
+    (False, True)
+    """
+    settings: dict[str, Any] = {}
+    for choice in CHOICES.values():
+        settings |= choice.published
+    for name in changed:
+        check_option("choice", name, CHOICES)
+        settings |= CHOICES[name].changed
+    return replace(PRESETS[PAPER], **settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +342,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             Minibatches; None takes as many as the preset says.
         patience
             Stop after so many iterations without a smaller validation loss, and take the weights
-            that had the smallest; None trains to the end, as published.
+            that had the smallest; None takes what the preset says, and so trains to the end.
         pixels
             Train on these, rows (y, x), and draw none.
         progress
@@ -247,12 +361,15 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         config, shape = self.config, samples.shape[:2]
         wanted = config.iterations if iterations is None else iterations
         wanted = whole("iterations", wanted, least=1)
+        patience = config.patience if patience is None else patience
         check_spp(samples, config.inputs)
         if pixels is None:
-            chosen = draw_pixels(shape, config.pixels, seed=seed)
+            chosen = draw_pixels(shape, config.pixels, seed=seed, spare=config.spare)
         else:
             chosen = checked_pixels(pixels, shape)
-        batches, references = training_batches(samples, chosen, config.inputs)
+        batches, references = training_batches(
+            samples, chosen, config.inputs, leave_out=config.leave_out
+        )
         if len(batches) < 2:
             message = (
                 f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
@@ -514,7 +631,7 @@ def _fit(
     # The channels of a batch stay together on one side of the split.
     in_order = (order[:, np.newaxis] * channels + np.arange(channels)).reshape(-1)
     validation, train = np.split(in_order, [held_out * channels])
-    validation = validation[:_VALIDATION_ROWS]
+    validation = validation[: preset.validation_rows]
     x, y = batches.reshape(-1, n), references.reshape(-1)
     of_mean = (x.mean(axis=1) - y) ** 2
     inputs, targets = torch.from_numpy(x), torch.from_numpy(y)

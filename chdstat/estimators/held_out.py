@@ -131,7 +131,11 @@ def check_spp(samples: Samples, n: int) -> None:
 
 
 def draw_pixels(
-    shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
+    shape: tuple[int, int],
+    count: int,
+    *,
+    seed: int | np.random.Generator | None,
+    spare: bool = True,
 ) -> npt.NDArray[np.int64]:
     """Draw pixels for training without replacement: `count`, or all that do not judge.
 
@@ -146,6 +150,8 @@ def draw_pixels(
         Number of pixels.
     seed
         The same seed draws the same pixels.
+    spare
+        Whether to leave pixels that judge.
 
     Returns
     -------
@@ -161,7 +167,7 @@ def draw_pixels(
     # The published number trains if it leaves a quarter to judge, else half of the image.
     half, published = order.size // 2, PUBLISHED_PIXELS
     most = published if half < published <= 3 * order.size // 4 else half
-    drawn = np.sort(order[: min(count, most)])
+    drawn = np.sort(order[: min(count, most) if spare else count])
     return np.stack(np.unravel_index(drawn, shape), axis=-1).astype(np.int64)
 
 
@@ -197,9 +203,9 @@ def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray
 
 
 def training_batches(
-    samples: Samples, pixels: npt.NDArray[np.int64], n: int
+    samples: Samples, pixels: npt.NDArray[np.int64], n: int, *, leave_out: bool = True
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
-    """Cut the samples of some pixels into batches with their leave-batch-out references.
+    """Cut the samples of some pixels into batches with their references.
 
     Parameters
     ----------
@@ -209,6 +215,8 @@ def training_batches(
         Rows (y, x).
     n
         Samples per batch.
+    leave_out
+        Whether references leave the batch out; else they are means of all samples of a pixel.
 
     Returns
     -------
@@ -225,7 +233,7 @@ def training_batches(
         reference = totals.mean_without(batch)
         usable = np.isfinite(reference).all(axis=-1)
         found.append(batch[usable])
-        references.append(reference[usable])
+        references.append((reference if leave_out else totals.mean())[usable])
     return np.concatenate(found), np.concatenate(references)
 
 

@@ -25,6 +25,7 @@ from chdstat.scenes import BUILTIN, REMAKES, Scene
 _EDGE = 128
 """Longest edge of the image if neither the user nor a recipe gives a size."""
 SCHEMA = 1
+_SCENES = "$CHDSTAT_SCENES"
 _KEYS = ("schema", "name", "scene", "integrator", "size", "spp", "seed", "regions")
 _LONGEST, _DOTS = 2**16, 1000
 PHENOMENA = (
@@ -156,18 +157,29 @@ def remake_of(samples: Samples) -> str:
     return REMAKES.get(samples.name, "") if built_in else ""
 
 
-def find_recipe(scene: str) -> Recipe | None:
-    """Return the recipe of a built-in scene; None if it has none."""
+def find_recipe(scene: str, scenes: str | Path | None = None) -> Recipe | None:
+    """Return the recipe of a built-in scene; None if it has none.
+
+    `scenes` is the folder of scenes, as for `load_recipe`.
+    """
     package = Path(chdstat.__file__).parent
     for place in (package, package.parent):  # as it is installed, and in a source checkout
         path = place / "renders" / f"{scene}.toml"
         if path.is_file():
-            return load_recipe(path)
+            return load_recipe(path, scenes)
     return None
 
 
-def load_recipe(path: str | Path) -> Recipe:
+def load_recipe(path: str | Path, scenes: str | Path | None = None) -> Recipe:
     """Read a recipe; its scene's path may start from the recipe's folder.
+
+    Parameters
+    ----------
+    path
+        The file.
+    scenes
+        Folder of scenes, for a path that starts with ``$CHDSTAT_SCENES``; None takes the
+        environment variable of that name.
 
     Raises
     ------
@@ -182,7 +194,8 @@ def load_recipe(path: str | Path) -> Recipe:
     except InputError as error:
         message = f"recipe {path}: {error}"
         raise InputError(message) from error
-    recipe = replace(recipe, scene=os.path.expandvars(recipe.scene))
+    given = recipe.scene if scenes is None else recipe.scene.replace(_SCENES, str(scenes))
+    recipe = replace(recipe, scene=os.path.expandvars(given))
     if "$" in recipe.scene:
         message = (
             f"recipe {path}: key scene must not name an environment variable that is not set, got "

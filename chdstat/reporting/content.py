@@ -41,6 +41,7 @@ from chdstat.reporting.headlines import (
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
+from chdstat.studies.paper_study import PUBLISHED
 from chdstat.studies.studies import SceneStudy
 from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import NAMES, called, estimator_name, qualitative
@@ -51,8 +52,6 @@ if TYPE_CHECKING:
 Contents = Literal["short", "full", "claims"]
 """Kinds of a report on a scene."""
 
-PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
-"""Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
 _LITTLE = 5e-4
 """Share below which a number counts as none."""
 _TINY = 1e-4
@@ -204,11 +203,11 @@ def _bad_samples(scene: Overview, samples: Samples) -> str:
 def _deviations(found: SceneStudy) -> list[str]:
     """Return deviations from Elek et al. 2019, as sentences."""
     height, width, _, spp = found.data.samples.shape
-    there = []
-    if spp < PUBLISHED_SPP:
-        there.append(f"{spp} samples per pixel in place of {PUBLISHED_SPP}")
-    if max(height, width) < PUBLISHED_SIZE:
-        there.append(f"{width} × {height} pixels in place of {PUBLISHED_SIZE} × {PUBLISHED_SIZE}")
+    edge, there = PUBLISHED.edge, []
+    if spp < PUBLISHED.spp:
+        there.append(f"{spp} samples per pixel in place of {PUBLISHED.spp}")
+    if max(height, width) < edge:
+        there.append(f"{width} × {height} pixels in place of {edge} × {edge}")
     network: Any = None if found.comparison is None else found.comparison.models.get(PAPER)
     return there if network is None else there + network.deviations()
 

@@ -158,7 +158,8 @@ def scene_figures(study: SceneStudy) -> dict[str, Figure]:
 # --- one scene ------------------------------------------------------------------------------------
 
 
-def _marks(data: SceneData) -> list[viz.Mark]:
+def marks_of(data: SceneData) -> list[viz.Mark]:
+    """Return the regions of a scene with the pixels that they show."""
     shape = data.samples.shape[:2]
     return [
         viz.Mark(NAMES.get(r.name, r.name), *r.pixels(*shape), r.center(*shape))
@@ -171,7 +172,7 @@ def _alone(shown: ReportData) -> Figure | None:
     if not (shown.small and shown.enough):
         return None
     data = shown.data
-    panels = [panel_of(data.samples.pixel(*mark.pixel), mark.name) for mark in _marks(data)]
+    panels = [panel_of(data.samples.pixel(*mark.pixel), mark.name) for mark in marks_of(data)]
     return viz.chd_pair(panels[0]) if len(panels) == 1 else viz.chd_grid(panels, columns=2)
 
 
@@ -186,7 +187,7 @@ def _regions(shown: ReportData) -> Figure | None:
 
 def _region_study(data: SceneData) -> Figure:
     """Draw the regions of a scene, each with the CHD of its central pixel."""
-    marks, notes = _marks(data), []
+    marks, notes = marks_of(data), []
     pixels = [data.samples.pixel(*mark.pixel) for mark in marks]
     for mark, pixel in zip(marks, pixels, strict=True):
         spread = number(float(data.analysis["coefficient_of_variation"][mark.pixel]))
@@ -250,13 +251,13 @@ def _estimates(shown: ReportData) -> Figure | None:
 def _batch_histograms(shown: ReportData) -> Figure:
     data = shown.data
     height, width = data.samples.shape[:2]
-    pixels = {mark.name: mark.pixel for mark in _marks(data)[:_PIXELS]} or {
+    pixels = {mark.name: mark.pixel for mark in marks_of(data)[:_PIXELS]} or {
         "middle of the image": (height // 2, width // 2)
     }
-    return viz.batch_histograms({n: _batches(data.samples[pixel]) for n, pixel in pixels.items()})
+    return viz.batch_histograms({n: batches_of(data.samples[pixel]) for n, pixel in pixels.items()})
 
 
-def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+def batches_of(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     """Return the luminance of the first batches of a pixel (channel, sample); 0 for bad ones."""
     light = np.asarray(luminance(np.where(is_bad(x).any(axis=0), 0.0, x.astype(np.float64))))
     size = min(_BATCH, len(light))
@@ -289,7 +290,7 @@ def _paths(shown: ReportData) -> Figure | None:
         return None
     renders = {f"up to {depth_of(s)} segments": s for s in (data.samples, shorter)}
     means = (data.summary["mean"].values, summary["mean"].values)
-    marks = _marks(data)[:_COMPARED]
+    marks = marks_of(data)[:_COMPARED]
     pooled = {
         name: [np.concatenate(np.concatenate(samples.read(m.ys, m.xs)), axis=-1) for m in marks]
         for name, samples in renders.items()

@@ -7,7 +7,6 @@ also tests the paper's claims, which need the families of all channels and the n
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,10 +34,8 @@ from chdstat.estimators.training import first_samples
 from chdstat.inference import contrast
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
-from chdstat.rendering.backend import Backend
 from chdstat.rendering.jobs import RenderSettings
 from chdstat.rendering.recipes import (
-    Recipe,
     check_integrator,
     load_recipe,
     recipe_of,
@@ -64,14 +61,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SPP = 512
-_PILOT = 32
-"""Samples per pixel of the render that predicts the time of a longer one."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 _ESTIMATES, _BATCHES = 2**15, (2, 4, 16)
 """Enough estimates in all; fewest estimates per pixel in a short and in a full report, and most."""
 _TRAINING: dict[str, dict[str, Any]] = {"elek2019": {"patience": 2000}}
-"""How long the network trains, unless as published: more takes long and gains little."""
+"""How long the network trains: more takes long and gains little."""
 _CURVE_SPP = 256
 """Fewest samples for showing errors against N."""
 _REGIONS = 6
@@ -87,7 +82,6 @@ def report(
     store: str | Path | None = None,
     estimators: Sequence[str | Entry] | None = None,
     iterations: int | None = None,
-    as_published: bool = False,
     progress: bool = True,
     **settings: Unpack[RenderSettings],
 ) -> Path:
@@ -117,10 +111,6 @@ def report(
     iterations
         Minibatches of each training. With None, the network of the paper stops when its validation
         error no longer falls.
-    as_published
-        Render and train as Elek et al. 2019 did: 2000 spp, 800 pixels along the longer edge, 30,000
-        minibatches, unless other options say so. It takes hours; the samples are kept beside the
-        PDF, so that the work can resume.
     progress
         Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     **settings
@@ -151,7 +141,7 @@ def report(
     named = load_recipe(recipe) if recipe else None
     if isinstance(source, list | tuple):
         options = {"recipe": recipe, "store": store, "estimators": estimators, **given}
-        options |= {"iterations": iterations, "as_published": as_published or None}
+        options |= {"iterations": iterations}
         options |= {"contents": None if contents == "short" else contents}
         return _of_several(source, target, options, progress)
     finished = open_samples(source) if is_store(source) else source
@@ -162,15 +152,13 @@ def report(
         scene = load_scene(finished)
         if named is not None:
             check_integrator(named, scene)
-        given = _settings_of(scene, named, as_published=as_published) | given
-        if as_published:
-            store = store or target.with_suffix(".zarr")
+        given = (named or recipe_of(scene, spp=_SPP, seed=0)).settings() | given
         film = scene.renderer == MITSUBA  # others do not say where samples fall
         samples = render(scene, **given, film=film, out=store, progress=progress)
     check_distribution(samples.spp)
     samples = at_hand(samples)
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
-    report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)
+    report_ = _Report(samples, contents, estimators, training, progress)
     # The analysis may not fit in memory: keep it in files beside the report while it is made.
     with (
         kept_until_written(target) as checkpoint,
@@ -196,29 +184,6 @@ def _of_several(
             )
             raise InputError(message)
     return contrast(sources, progress=progress).report(target)
-
-
-def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:
-    """Return the settings of the render; as published, with the size and spp of the paper."""
-    settings = (recipe or recipe_of(scene, spp=_SPP, seed=0)).settings()
-    if as_published:
-        scale = content.PUBLISHED_SIZE / max(settings["size"])
-        width, height = (round(length * scale) for length in settings["size"])
-        settings |= {"spp": content.PUBLISHED_SPP, "size": (width, height)}
-    return settings
-
-
-def published_seconds(
-    scene: Scene, recipe: str | Path | None = None, *, backend: Backend = "auto"
-) -> float:
-    """Estimate how long it takes to render a scene as published, from a small render."""
-    named = load_recipe(recipe) if recipe else None
-    whole = _settings_of(scene, named, as_published=True)
-    size = tuple(max(1, length // 8) for length in whole["size"])
-    small = render(scene, **whole | {"size": size, "spp": _PILOT}, backend=backend, progress=False)
-    height, width, _, spp = small.shape
-    part = (width * height * spp) / (math.prod(whole["size"]) * whole["spp"])
-    return float(small.attrs["render_seconds"] / part)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from chdstat.comparison.estimator_choice import Entry, entry_of, without_denoise
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model
-from chdstat.estimators.training import TrainedModel, first_samples, load_model
+from chdstat.estimators.training import TrainedModel, first_samples, load_model, train_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.renders import render
@@ -61,7 +61,7 @@ _SEQUENCES = 16
 _IN_MEMORY = 2**26
 """Samples up to this many bytes are read into memory, as they are used several times."""
 
-StudySource = str | Path | Mapping[str, Any] | Scene | Samples
+StudySource = str | Path | Mapping[str, Any] | Scene | Samples | recipes.Recipe
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def scenes_of(
     Parameters
     ----------
     sources
-        Built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores, scenes or samples,
-        one or several; None takes every built-in scene that has a recipe.
+        Built-in names, Mitsuba XML files, recipes (also as ``*.toml``), finished stores, scenes or
+        samples, one or several; None takes every built-in scene that has a recipe.
     settings
         Size, spp, seed and max_depth instead of those of recipes; from stores, the first spp are
         taken.
@@ -110,7 +110,7 @@ def scenes_of(
     """
     if sources is None:
         sources = [name for name in BUILTIN if recipes.find_recipe(name)]
-    elif isinstance(sources, (str, Path, Mapping, Scene, Samples)):
+    elif isinstance(sources, (str, Path, Mapping, Scene, Samples, recipes.Recipe)):
         sources = [sources]
     scenes = [_scene(source, settings) for source in sources]
     if not scenes:
@@ -127,8 +127,9 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
         check_independent(source.attrs)
         return StudyScene(source.name, source, None, recipes.regions_of(source))
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":
-        recipe = recipes.load_recipe(source)
-        scene = load_scene(recipe.scene)
+        source = recipes.load_recipe(source)
+    if isinstance(source, recipes.Recipe):
+        recipe, scene = source, load_scene(source.scene)
         recipes.check_integrator(recipe, scene)
     else:
         scene = load_scene(source)
@@ -170,6 +171,8 @@ class Stores:
         none.
     integrators
         Whether to render by other integrators, by path guiding and with adaptive counts, too.
+    iterations
+        Minibatches of trainings; None takes as many as a comparison does.
     """
 
     folder: Path | None
@@ -177,6 +180,7 @@ class Stores:
     progress: bool = True
     sampler: SamplerName = "independent"
     integrators: bool = False
+    iterations: int | None = None
 
     def renders(self, scene: StudyScene) -> tuple[SceneData, Samples | None]:
         """Return the renders of a scene, and one with another seed; missing ones are rendered.
@@ -291,8 +295,14 @@ class Stores:
         cache, named = self.cache(samples), DEFAULT_ESTIMATORS if estimators is None else estimators
         entries = [without_denoiser(entry_of(name)) for name in named]
         learned = [e.name for e in entries if isinstance(e, LearnedEstimator)]
-        there = {name: cache.read(f"{name}.safetensors", load_model) for name in learned}
+        files = {name: f"{name}{self.iterations or ''}.safetensors" for name in learned}
+        there = {name: cache.read(file, load_model) for name, file in files.items()}
         trained = {name: model for name, model in there.items() if model is not None}
+        for name in learned if self.iterations else ():
+            if name not in trained:
+                how: Any = {"iterations": self.iterations, "progress": self.progress}
+                trained[name] = train_model(at_hand(samples), name, **how)
+                cache.write(files[name], trained[name].save)
         models: dict[str, Model] = {**trained}
 
         def compared() -> Comparison:
@@ -307,11 +317,11 @@ class Stores:
             models.update(comparison.models)
             for name, model in comparison.models.items():
                 if name not in trained and isinstance(model, TrainedModel):
-                    cache.write(f"{name}.safetensors", model.save)
+                    cache.write(files[name], model.save)
             return replace(comparison, models={})  # a record holds no network
 
-        inputs = tuple(entry_of(name).name for name in named)
-        again = not set(learned) <= trained.keys()
+        inputs = (self.iterations, *(entry_of(name).name for name in named))
+        again = not set(learned) <= {n for n, model in there.items() if model is not None}
         comparison = cache.record("comparison", Comparison, compared, inputs=inputs, again=again)
         return replace(comparison, models=models)
 

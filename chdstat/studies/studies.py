@@ -293,24 +293,37 @@ def study(
     stores = Stores(
         None if folder is None else Path(folder), backend, progress, sampler, integrators
     )
+    return studied(chosen, stores, estimators)
+
+
+def studied(
+    chosen: Sequence[StudyScene], stores: Stores, estimators: Sequence[str | Entry] | None
+) -> Study:
+    """Study scenes, and keep in a folder what is made.
+
+    Raises
+    ------
+    StoreError
+        If nothing can be kept there.
+    """
     if stores.folder is not None:
         try:
             stores.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            message = f"cannot keep renders in {folder}: {error.strerror or error}"
+            message = f"cannot keep renders in {stores.folder}: {error.strerror or error}"
             raise StoreError(message) from error
-    start, studied = time.monotonic(), []
+    start, found = time.monotonic(), []
     what = f"studying {len(chosen)} scene{'s' * (len(chosen) > 1)}"
-    with track(what, len(chosen), unit="scene", show=progress) as advance:
+    with track(what, len(chosen), unit="scene", show=stores.progress) as advance:
         for i, scene in enumerate(chosen):
             _log.info("studying %s (%d of %d)", scene.name, i + 1, len(chosen))
             with portion(1, advance):
-                studied.append(_scene(scene, stores, estimators))
-        across = _across([scene.data for scene in studied], stores)
+                found.append(_scene(scene, stores, estimators))
+        across = _across([scene.data for scene in found], stores)
     packages = ("chdstat", "mitsuba", "numpy", "scipy")
     versions = {package: importlib.metadata.version(package) for package in packages}
     seconds = round(time.monotonic() - start, 1)
-    return Study(tuple(studied), across, {**versions, "seconds": seconds})
+    return Study(tuple(found), across, {**versions, "seconds": seconds})
 
 
 _STAGES = 7

@@ -41,15 +41,15 @@ if TYPE_CHECKING:
 Scale: TypeAlias = Literal["linear", "log"]
 
 SCALES: tuple[Scale, ...] = ("linear", "log")
-_FIRST_DRAWS = 50
+FIRST_DRAWS = 50
 """Draws whose span sets the linear support."""
-_LOG_SUPPORT = (1e-5, 1e5)
+LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
 _OF_LOG = ("counts", "low", "high", "underflow", "overflow", "negative")
 LOG_VARIABLES = (*(f"log_{name}" for name in _OF_LOG), "null_count", "bad_count")
 """Variables that make up the log histogram in the dataset of an image."""
 
-_PADDING = 0.25
+PADDING = 0.25
 _ROUNDING = 1e-3
 """Padding of samples that are all to be in bins, however these round."""
 
@@ -97,15 +97,15 @@ def linear_support(
     ----------
     Elek, Thomas, Forbes 2019, section on the instrumentation.
     """
-    first = as_samples(x)[..., :_FIRST_DRAWS]
-    null, bad = (part if part is None else part[..., :_FIRST_DRAWS] for part in (null, bad))
+    first = as_samples(x)[..., :FIRST_DRAWS]
+    null, bad = (part if part is None else part[..., :FIRST_DRAWS] for part in (null, bad))
     null, bad = _checked_masks(first, null, bad)
     if bad is None:
         bad = np.zeros(first.shape, dtype=np.bool_)
     used = ~(null | bad)
     low = np.where(used, first, np.inf).min(axis=-1).astype(np.float64)
     high = np.where(used, first, -np.inf).max(axis=-1).astype(np.float64)
-    return _around(low, high, _PADDING, first.dtype, all_bad=np.asarray(bad.all(axis=-1)))
+    return _around(low, high, PADDING, first.dtype, all_bad=np.asarray(bad.all(axis=-1)))
 
 
 def _around(
@@ -117,7 +117,7 @@ def _around(
     # A span of fewer than 128 floats would only show how floats are spaced.
     size = np.maximum(np.abs(low), np.abs(high))
     point = high - low <= 128 * np.finfo(dtype).eps * size
-    room = np.where(point, _PADDING * size, padding * (high - low))
+    room = np.where(point, PADDING * size, padding * (high - low))
     nothing = empty | (size == 0)
     reason = np.select(
         [~empty & nothing, empty & all_bad, empty],
@@ -290,7 +290,7 @@ def _held(
 
 def tile_support(tile: Samples) -> Support:
     """Return the linear support of a tile, for any division of its store into batches."""
-    first = tile.read(ss=slice(_FIRST_DRAWS))
+    first = tile.read(ss=slice(FIRST_DRAWS))
     null, bad = sample_masks(first)
     return linear_support(first, null=null, bad=bad)
 
@@ -625,7 +625,7 @@ class StreamingHistogram:
             raise InputError(message)
         self.scale: Scale = scale
         self.bins = bins
-        self._given = _LOG_SUPPORT if support is None and scale == "log" else support
+        self._given = LOG_SUPPORT if support is None and scale == "log" else support
         self._support: Support | None = None
 
     def _begin(self, support: GivenSupport, shape: tuple[int, ...]) -> Support:

@@ -31,7 +31,14 @@ from chdstat.viz.estimators import (
     pixel_estimates,
     training,
 )
-from chdstat.viz.image import Mark, firefly_pair, region_study, side_by_side, with_marks
+from chdstat.viz.image import (
+    Mark,
+    batches_of_pixels,
+    firefly_pair,
+    region_study,
+    side_by_side,
+    with_marks,
+)
 from chdstat.viz.maps import (
     atlas,
     categorical_map,
@@ -54,6 +61,7 @@ __all__ = [
     "atlas",
     "averages",
     "batch_histograms",
+    "batches_of_pixels",
     "categorical_map",
     "chd_axes",
     "chd_grid",

@@ -30,7 +30,13 @@ from chdstat.fit import Fit, Mixture, Tail
 from chdstat.fit.curves import Curve
 from chdstat.inference.modes import Modality
 from chdstat.patterns.pixel import Pixel
-from chdstat.summary.histograms import Histogram, Scale, shared_ranges, shown_range
+from chdstat.summary.histograms import (
+    Histogram,
+    Scale,
+    histogram,
+    shared_ranges,
+    shown_range,
+)
 from chdstat.viz.styling import (
     CHANNELS,
     NAMES,
@@ -376,6 +382,8 @@ class Panel:
         Mean radiance of each channel, drawn as a dashed line.
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
+    whole
+        Whether axes show all bins; else they end where hardly any sample is.
     """
 
     name: str
@@ -385,6 +393,39 @@ class Panel:
     fits: Sequence[Density | None] = ()
     mean: Sequence[float] = ()
     note: str = ""
+    whole: bool = False
+
+    @classmethod
+    def as_printed(
+        cls, name: str, x: npt.ArrayLike, *, channels: Sequence[str] | None = None
+    ) -> Self:
+        """Return the CHD of a pixel with the bins that Elek et al. 2019 print, and all of them.
+
+        They are 100: linear ones on the range of the first 50 samples, padded by a quarter at both
+        ends; logarithmic ones from 1e-5 to 1e5. Nulls are in none.
+
+        Parameters
+        ----------
+        name, channels
+            As above.
+        x
+            Linear radiance, shape (channel, sample).
+
+        Examples
+        --------
+        >>> panel = Panel.as_printed("wall", [[0, 1, 2, 3], [0, 2, 4, 6]])
+        >>> panel.limits("linear"), panel.limits("log")
+        ((0.5, 7.0), (1e-05, 100000.0))
+        """
+        samples = np.asarray(x)
+        null = (samples == 0).all(axis=0)
+        found = {
+            scale: histogram(samples, scale=scale, null=np.broadcast_to(null, samples.shape))
+            for scale in SCALES
+        }
+        names = channels or channel_names(len(samples))
+        note, means = f"{per_cent(float(null.mean()))} nulls", np.nanmean(samples, axis=1).tolist()
+        return cls(name, found["linear"], found["log"], names, (), means, note, whole=True)
 
     @classmethod
     def of(
@@ -439,7 +480,15 @@ class Panel:
         return ", ".join(filter(None, [self.note, " / ".join(names)]))
 
     def limits(self, scale: Scale) -> tuple[float, float] | None:
-        """Return the range of radiance that holds its samples and means."""
+        """Return the range of radiance that holds its samples and means, or all bins."""
+        if self.whole:
+            found = self.linear if scale == "linear" else self.log
+            known = np.isfinite(found.low)
+            return (
+                (float(found.low[known].min()), float(found.high[known].max()))
+                if known.any()
+                else None
+            )
         return shown_range([*self.histograms(scale).values()], self.mean)
 
     def select(self, channels: Channels) -> Self:
@@ -724,7 +773,10 @@ def fits(
 
 @style()
 def batch_histograms(
-    batches: Mapping[str, npt.ArrayLike], *, width: Width = "page", fig: Figure | None = None
+    batches: Mapping[str, npt.ArrayLike],
+    *,
+    width: Width = "page",
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw superimposed histograms of batches and, below, the histogram of their means.
 
@@ -753,7 +805,7 @@ def batch_histograms(
     2
     """
     count, across = len(batches), inches(width, fig)
-    columns = fitting(across, count, 1.1)
+    columns = fitting(across, count, 1.0)
     rows = -(-count // columns)
     figure = page(fig, 2.1 * rows, min(across, 1.74 * max(1, columns)))
     # Below each row of batches there is a row of their means.

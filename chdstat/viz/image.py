@@ -30,6 +30,7 @@ from chdstat.viz.chd import (
     SCALES,
     Channels,
     Panel,
+    batch_histograms,
     colors_of,
     draw_fit,
     draw_histograms,
@@ -39,6 +40,7 @@ from chdstat.viz.chd import (
     scales_of,
 )
 from chdstat.viz.styling import (
+    HEIGHT,
     PALETTE,
     UNIT,
     bare,
@@ -74,6 +76,10 @@ _NOTE = 17
 """Letters of a note per inch."""
 _MARGIN = 7
 """Pixels shown around a firefly."""
+
+
+_BESIDE = 0.24
+"""Share of the width that an image beside batches takes."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,41 @@ def with_marks(
     draw_marked(figure.add_subplot(main), shown, marks)
     for i, (mark, cell) in enumerate(zip(marks, places, strict=True)):
         draw_inset(figure.add_subplot(cell), shown, mark, i, letters=letters)
+    return figure
+
+
+@style()
+def batches_of_pixels(
+    image: npt.ArrayLike,
+    marks: Sequence[Mark],
+    batches: Sequence[npt.ArrayLike],
+    *,
+    width: Width = "page",
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw an image with marked pixels, and beside it their batches, as `batch_histograms` does.
+
+    Parameters
+    ----------
+    image
+        Linear radiance, shape (y, x, channel).
+    marks
+        The pixels.
+    batches
+        Radiance of each, shape (batch, sample).
+    width
+        Width of the figure: "column", "page" or inches.
+    fig
+        Where to draw; None makes a figure.
+    """
+    shown, across = tonemap(image), inches(width, fig)
+    high = across * upright(*shown.shape[:2])
+    figure, left, right = two_parts(fig, width, 2.1, _BESIDE, (high, 4.2))
+    ax = left.subplots()
+    draw_marked(ax, shown, marks)
+    ax.set_anchor("N")
+    named = {f"{i} {m.name}": x for i, (m, x) in enumerate(zip(marks, batches, strict=True), 1)}
+    batch_histograms(named, fig=right)  # type: ignore[arg-type] - a part of a figure is as good
     return figure
 
 
@@ -254,7 +295,8 @@ def region_study(
     wanted = "luminance" if channels is None and lit else channels
     panels = [panel.select(wanted) for panel in panels]
     rows, high = len(marks), across * upright(*shown.shape[:2])
-    listed, explained = min(_ROW * rows, _ROWS) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
+    most = _ROWS if kinds == ["log"] else HEIGHT - 0.4  # linear axes have ticks of their own
+    listed, explained = min(_ROW * rows, most) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
     height = max(listed, _OF_IMAGE * high + explained)
     figure, left, right = two_parts(fig, width, height, _OF_IMAGE, (high + explained, listed))
     whole = left.subplots()
@@ -262,12 +304,13 @@ def region_study(
     whole.set_anchor("N")
     ratios = [0.2, *[0.8 / len(kinds)] * len(kinds)]
     cells = right.subplots(rows, 1 + len(kinds), squeeze=False, width_ratios=ratios)
-    colors, ranges = qualitative(rows), panel_ranges(panels)
+    colors = qualitative(rows)
+    ranges = [None] * rows if panels[0].whole else panel_ranges(panels)
     for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
         inset, *axes = cells[i]
         draw_inset(inset, shown, mark, i, titled=False)
         for ax, scale in zip(axes, kinds, strict=True):
-            shared = scale == "log" and ranges[i] in ranges[i + 1 :]
+            shared = scale == "log" and ranges[i] in ranges[i + 1 :]  # all bins are the same, too
             _draw_region(ax, panel, scale, colors[i], ranges[i] if scale == "log" else None)
             ax.tick_params(pad=1.5, labelbottom=not shared)
         note = notes[i] if i < len(notes) else panel.told

@@ -596,6 +596,7 @@ def test_bad_input_ends_with_a_message_and_no_traceback(
         (("contrast", STORE, STORE), "a.pdf"),
         (("estimate", STORE), "a.png"),
         (("export", "maps.zarr"), "a.exr"),
+        (("paper",), "a.pdf"),
         (("report", STORE), "a.pdf"),
         (("study", STORE), "a.pdf"),
         (("train", STORE), "a.safetensors"),
