@@ -14,7 +14,7 @@ import numpy as np
 
 from chdstat import viz
 from chdstat._core.arrays import Array, generator, is_bad
-from chdstat._core.display import duration, number, percent
+from chdstat._core.display import number, percent
 from chdstat._core.doors import report
 from chdstat._core.image_scales import worst_parts
 from chdstat.estimators.elek2019 import CHOICES, PAPER
@@ -23,7 +23,7 @@ from chdstat.reporting.documents import Document, overview, typeset
 from chdstat.reporting.figures import batches_of, depth_of, marks_of
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import CLAIMS
-from chdstat.studies.paper_numbers import SENTENCES, numbers
+from chdstat.studies.paper_numbers import SENTENCES, firefly, numbers
 from chdstat.studies.paper_study import (
     BATCH,
     PIXELS,
@@ -78,7 +78,9 @@ class PaperFigure:
             if figure is None:
                 continue
             title = f"{self.name}-{part.title}" if isinstance(part, PaperScene) else self.name
-            here = {"title": getattr(part, "title", ""), "name": _named(part)}
+            here = {"name": _named(part)}
+            if isinstance(part, PaperScene):
+                here |= {"own": firefly(0)(part), "above": firefly(1)(part)}
             place = {"number": self.number, "caption": self.caption.format(**here)}
             yield {"name": title, **place}, figure
 
@@ -137,8 +139,7 @@ def _firefly(scene: PaperScene) -> Figure | None:
     image = data.summary["batch_means"].values[..., batch]
     marks, panels = [], []
     for name, row in (("firefly", y), ("its neighbour", y - 1)):
-        red = ", ".join(f"{value:.3g}" for value in image[row, x])
-        marks.append(viz.Mark(f"{name} [{red}]", slice(row, row + 1), slice(x, x + 1), (row, x)))
+        marks.append(viz.Mark(name, slice(row, row + 1), slice(x, x + 1), (row, x)))
         panels.append(_panel(data.samples[row, x], name, data.samples.channels))
     return _regions(image, marks, panels)
 
@@ -182,10 +183,11 @@ def _losses(found: PaperStudy) -> Figure | None:
     scenes = [scene for scene in found.scenes if scene.title in RESULTS]
     if not scenes:
         return None
-    figure, axes = panels_in(None, len(scenes), len(scenes), 2.6)
-    for ax, scene in zip(axes, scenes, strict=True):
-        viz.training(scene.network.losses, ax=ax)
-        ax.set_title(scene.title, loc="left", pad=32)
+    with viz.style():
+        figure, axes = panels_in(None, len(scenes), len(scenes), 2.4)
+        for ax, scene in zip(axes, scenes, strict=True):
+            viz.training(scene.network.losses, ax=ax)
+            ax.set_title(scene.title, loc="left", pad=28)
     return figure
 
 
@@ -206,9 +208,9 @@ FIGURES = (
                     f"apart. {_KEY}", (title,))
         for i, title in enumerate(SCENES)
     ),
-    PaperFigure("firefly", "6", _firefly, "Firefly of {name}: the brightest one and the pixel "
-                f"above it, in the estimate of {BATCH} samples in which it is seen, with RGB "
-                f"irradiance; their distributions are of all samples. {_KEY}", ("MeasureOne",)),
+    PaperFigure("firefly", "6", _firefly, "Firefly of {name}: the brightest one, of RGB irradiance "
+                "{own} in the estimate from 32 samples that is shown, and the pixel above it, of "
+                f"{{above}}; their distributions are of all samples. {_KEY}", ("MeasureOne",)),
     PaperFigure("depths", "6", _images_of_paths, "Path lengths of {name}: two bounces, and five, "
                 "under one exposure.", ("MeasureOne",)),
     PaperFigure("paths", "6", _paths, "Path lengths of {name}: distributions of the same pixels, "
@@ -302,7 +304,6 @@ def paper_document(found: PaperStudy) -> Document:
         for place, figure in one.drawn(found):
             placed.append(place)
             drawn[place["name"]] = figure
-    seconds = float(found.study.provenance.get("seconds", 0))
     content = {
         "placed": placed,
         "errors": _errors(found),
@@ -315,7 +316,6 @@ def paper_document(found: PaperStudy) -> Document:
         "network": PAPER,
         "remakes": remake_note(scene.samples for scene in found.scenes),
         "missing": "MeasureOne" if any(s.title == "MeasureOne" for s in found.scenes) else "",
-        "seconds": duration(seconds),
         "provenance": {k: str(v) for k, v in found.study.provenance.items()},
     }
     return Document("paper.typ", content, drawn)

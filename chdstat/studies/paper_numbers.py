@@ -102,7 +102,9 @@ def _nulls_below(scene: PaperScene) -> str:
     return percent(float((scene.study.data.analysis["null_share"] < 0.2).mean()))
 
 
-def _firefly(above: int) -> Callable[[PaperScene], str]:
+def firefly(above: int) -> Callable[[PaperScene], str]:
+    """Return what says the radiance of the firefly, or of the pixel so far above it."""
+
     def measure(scene: PaperScene) -> str:
         found = scene.firefly()
         if found is None:
@@ -197,9 +199,9 @@ NUMBERS = (
     Number("5.4", "low numbers of null samples, typically under 20 %",
            "pixels with less than 20 % nulls", _nulls_below, ("MeasureOne",)),
     Number("5.4", "a bright firefly (RGB irradiance [4.56, 2.03, 0.22])", "brightest firefly",
-           _firefly(0)),
+           firefly(0)),
     Number("5.4", "its immediate neighbor on top (RGB irradiance [0.25, 0.26, 0.26])",
-           "the pixel above it", _firefly(1)),
+           "the pixel above it", firefly(1)),
     Number("5.4", "the order-2 image visibly darker than the order-5 one",
            "mean, of longer over shorter paths", _ratio_of("mean")),
     Number("5.4", "the order-5 image ends up having higher variance",

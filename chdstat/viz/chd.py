@@ -99,6 +99,7 @@ def chd_axes(
     channels: Channels = None,
     fits: Sequence[Density | None] = (),
     limits: tuple[float, float] | None = None,
+    outside: bool = True,
     width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
@@ -119,6 +120,8 @@ def chd_axes(
         such as ``fit.pdf`` of a `chdstat.fit.Fit`; None draws none.
     limits
         Radiance at both ends of the axis; None for the range that holds 99.5 % of the samples.
+    outside
+        Whether to say how many samples the axis leaves out.
     width
         Width of the figure: "column", "page" or inches.
     ax
@@ -145,7 +148,8 @@ def chd_axes(
     alone = ax is None
     spine = ax is not None and ax.spines["left"].get_visible()  # the user's own spines stay
     ax = axes_in(ax, 1.8, width)
-    draw_histograms(ax, shown, colors=[colors[name] for name in shown], limits=limits)
+    look: dict[str, Any] = {"limits": limits, "outside": outside}
+    draw_histograms(ax, shown, colors=[colors[name] for name in shown], **look)
     ax.spines["left"].set_visible(spine)
     if alone:
         ax.set_xlabel(_axis_name(_quantity([*shown]), found.scale))
@@ -243,6 +247,7 @@ def draw_histograms(
     dashes: Sequence[Any] = ("-",),
     opacity: float = 0.22,
     limits: tuple[float, float] | None = None,
+    outside: bool = True,
 ) -> None:
     """Draw histograms of one scale over each other, and say how many samples the axis leaves out.
 
@@ -261,6 +266,8 @@ def draw_histograms(
     limits
         Radiance at both ends of the axis; None for `shown_range`. A linear axis begins at 0 or
         below; a log axis has a decade or more.
+    outside
+        Whether to say what the axis leaves out.
     """
     those = [*found.values()]
     scale, known = those[0].scale, limits or shown_range(those)
@@ -290,7 +297,7 @@ def draw_histograms(
     ax.set_ylim(bottom=0)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-    if known:
+    if known and outside:
         _tell_outside(ax, those)
 
 
@@ -383,7 +390,8 @@ class Panel:
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
     whole
-        Whether axes show all bins; else they end where hardly any sample is.
+        Whether axes show all bins and nothing else; otherwise they end where hardly any sample is,
+        and say how many are beyond.
     """
 
     name: str
@@ -655,8 +663,8 @@ def _draw_pixel(
     names = [*panel.histograms("log")]
     for ax, scale in zip(axes, scales, strict=False):
         counted = panel.linear if scale == "linear" else panel.log
-        ends = limits or panel.limits(scale)
-        chd_axes(counted, names=names, channels=names, fits=panel.fits, limits=ends, ax=ax)
+        look: dict[str, Any] = {"limits": limits or panel.limits(scale), "outside": not panel.whole}
+        chd_axes(counted, names=names, channels=names, fits=panel.fits, ax=ax, **look)
         draw_means(ax, panel.mean, colors_of(names))
         ax.set_xlabel(_axis_name(_quantity(names), scale, room) if below else "")
     # Without room for both in a line, the title is above the note.

@@ -295,10 +295,13 @@ def region_study(
     wanted = "luminance" if channels is None and lit else channels
     panels = [panel.select(wanted) for panel in panels]
     rows, high = len(marks), across * upright(*shown.shape[:2])
-    most = _ROWS if kinds == ["log"] else HEIGHT - 0.4  # linear axes have ticks of their own
-    listed, explained = min(_ROW * rows, most) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
-    height = max(listed, _OF_IMAGE * high + explained)
-    figure, left, right = two_parts(fig, width, height, _OF_IMAGE, (high + explained, listed))
+    # Linear axes have ticks of their own, and take room from the image.
+    (row, most), share = (_ROW, _ROWS), _OF_IMAGE
+    if len(kinds) > 1:
+        (row, most), share = (1.3 * _ROW, HEIGHT - 0.4), 0.8 * _OF_IMAGE
+    listed, explained = min(row * rows, most) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
+    height = max(listed, share * high + explained)
+    figure, left, right = two_parts(fig, width, height, share, (high + explained, listed))
     whole = left.subplots()
     draw_marked(whole, shown, marks)
     whole.set_anchor("N")
@@ -314,7 +317,7 @@ def region_study(
             _draw_region(ax, panel, scale, colors[i], ranges[i] if scale == "log" else None)
             ax.tick_params(pad=1.5, labelbottom=not shared)
         note = notes[i] if i < len(notes) else panel.told
-        room = (across if narrow(across) else across * (1 - _OF_IMAGE)) * ratios[1]
+        room = (across if narrow(across) else across * (1 - share)) * ratios[1]
         title = within(f"{i + 1} {mark.name}", room - len(note) / _NOTE * (len(axes) == 1))
         axes[0].set_title(title, loc="left", pad=2, fontweight="bold")
         axes[-1].set_title(note, loc="right", pad=2, color="#444444")
@@ -337,7 +340,7 @@ def _draw_region(
     lines = [dark] if alone else colors_of(found)
     draw_histograms(
         ax, found, colors=[color] if alone else lines, outlines=lines, opacity=_FILLED * alone,
-        limits=limits or panel.limits(scale),
+        limits=limits or panel.limits(scale), outside=not panel.whole,
     )  # fmt: skip
     curves = zip(found.values(), panel.fits, ["#111111"] if alone else lines, strict=False)
     for counted, fit, line in curves:

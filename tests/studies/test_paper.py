@@ -1,4 +1,4 @@
-"""The paper's experiment: its figures and tables, its network as published, and what was stopped."""
+"""The paper's experiment: its figures and tables, its network as published, and resuming."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def refuse(*args, **kwargs):
     pytest.fail("done again")
 
 
-# --- a run -----------------------------------------------------------------------------------------
+# --- a run ----------------------------------------------------------------------------------------
 
 
 def test_a_finished_run_does_nothing_again(found, folder, monkeypatch):
@@ -117,7 +117,7 @@ def test_each_claim_of_the_paper_has_its_sentence(document):
     assert all(cell["verdict"] for row in document.content["sentences"] for cell in row["cells"])
 
 
-# --- choices ---------------------------------------------------------------------------------------
+# --- choices --------------------------------------------------------------------------------------
 
 
 def test_choices_are_switches_that_exist():
@@ -164,7 +164,7 @@ def test_each_channel_may_have_its_network():
     assert not np.allclose(found[0].estimate, found[1].estimate)
 
 
-# --- scenes ----------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
 def test_the_papers_own_scenes_are_taken_where_they_are(tmp_path):
