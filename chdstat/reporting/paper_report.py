@@ -170,9 +170,10 @@ def _paths(scene: PaperScene) -> Figure | None:
 
 
 def _reduction(scene: PaperScene) -> Figure:
-    images = {f"baseline, {BATCH} spp": scene.mean, _network_name(scene): scene.network.estimate}
+    images: dict[str, Any] = {f"baseline, {BATCH} spp": scene.mean}
+    images[_network_name(scene)] = scene.network.estimate
     truth = {f"ground truth, {scene.samples.spp} spp": scene.truth}
-    return viz.side_by_side(images | truth, insets=worst_parts(scene.mean, scene.truth))
+    return viz.side_by_side({**images, **truth}, insets=worst_parts(scene.mean, scene.truth))
 
 
 def _network_name(scene: PaperScene) -> str:

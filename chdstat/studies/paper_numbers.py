@@ -301,5 +301,7 @@ SENTENCES = {
          "order-2 image visibly darker than the order-5 one."),
     29: ("8", "the characteristic per-pixel distributions holistically depend on the scene and "
          "the particular integrator used for the rendering"),
+    34: ("2", "Dropping the temporary assumption of constant L within the pixel i, the actual "
+         "variance [...] is bound to be slightly higher"),
 }  # fmt: skip
 """Section and sentence of the paper, by number of the claim that tests it."""

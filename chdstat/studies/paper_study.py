@@ -35,7 +35,7 @@ from chdstat.rendering.recipes import find_recipe
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES
 from chdstat.studies.claims.whole_image import brightest_firefly
-from chdstat.studies.stores import Stores, StudyScene, at_hand, scenes_of
+from chdstat.studies.stores import SHORT, Stores, StudyScene, at_hand, scenes_of
 from chdstat.studies.studies import SceneStudy, Study, studied
 
 SCENES = {title: name for name, title in REMAKES.items()}
@@ -49,12 +49,14 @@ _REAL = {
 it in a format that Mitsuba reads."""
 RESULTS = ("Bathroom", "MeasureOne")
 """Scenes of the figures on the network."""
+_FIVE = SHORT + 3
+"""Longest path of MeasureOne, in segments: the paper compares five bounces with two there."""
 BATCH, BATCHES, PIXELS, EVALUATED = 32, 64, 5, 25
 """Samples of an estimate; batches and pixels of the first figure; pixels of the last one."""
 
 
 @dataclass(frozen=True)
-class Scale:
+class Extent:
     """Size of the experiment.
 
     Attributes
@@ -72,10 +74,10 @@ class Scale:
     iterations: int
 
 
-PUBLISHED = Scale(800, 2048, 30_000)
+PUBLISHED = Extent(800, 2048, 30_000)
 """The paper's: 64 batches of 32 samples are its "2k"."""
-FULL = Scale(128, 2048, 30_000)
-QUICK = Scale(40, 2048, 3000)
+_FULL = Extent(128, 2048, 30_000)
+_QUICK = Extent(40, 2048, 3000)
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class PaperScene:
     @cached_property
     def mean(self) -> npt.NDArray[np.float64]:
         """Mean of these samples."""
-        return self.batch.mean(axis=-1, dtype=np.float64)
+        return np.asarray(self.batch.mean(axis=-1, dtype=np.float64))
 
     @cached_property
     def sums(self) -> PartialSums:
@@ -220,7 +222,7 @@ class PaperStudy(Tabled):
 
     scenes: tuple[PaperScene, ...]
     study: Study
-    scale: Scale
+    scale: Extent
     changed: tuple[str, ...] = ()
 
     def table(self) -> list[dict[str, Any]]:
@@ -346,7 +348,7 @@ def paper(
     titles = list(SCENES if only is None else only)
     for title in titles:
         check_option("only", title, SCENES)
-    usual, given = QUICK if quick else FULL, {"edge": edge, "spp": spp, "iterations": iterations}
+    usual, given = _QUICK if quick else _FULL, {"edge": edge, "spp": spp, "iterations": iterations}
     asked = {n: whole(n, v, least=1) for n, v in given.items() if v is not None}
     scale = replace(usual, **asked)
     if scale.spp < 2 * BATCH:
@@ -370,7 +372,7 @@ def paper(
 
 
 def _scenes(
-    titles: Sequence[str], folder: str | Path | None, scale: Scale
+    titles: Sequence[str], folder: str | Path | None, scale: Extent
 ) -> tuple[StudyScene, ...]:
     """Return the scenes by these titles, real ones where the folder has them."""
     recipes = []
@@ -380,7 +382,8 @@ def _scenes(
         assert recipe is not None, "each of them has a recipe"
         longest = scale.edge / max(recipe.size)
         width, height = (max(1, round(length * longest)) for length in recipe.size)
-        recipes.append(replace(recipe, size=(width, height), spp=scale.spp))
+        depth = _FIVE if title == RESULTS[-1] else recipe.max_depth
+        recipes.append(replace(recipe, size=(width, height), spp=scale.spp, max_depth=depth))
     if folder and all(recipe.scene in BUILTIN for recipe in recipes):
         wanted = [find_recipe(name, folder) for name in _REAL.values()]
         named = ", ".join(recipe.scene for recipe in wanted if recipe)

@@ -186,7 +186,8 @@ def batches_of_pixels(
     draw_marked(ax, shown, marks)
     ax.set_anchor("N")
     named = {f"{i} {m.name}": x for i, (m, x) in enumerate(zip(marks, batches, strict=True), 1)}
-    batch_histograms(named, fig=right)  # type: ignore[arg-type] - a part of a figure is as good
+    beside: Any = right  # a part of a figure is as good as one
+    batch_histograms(named, fig=beside)
     return figure
 
 

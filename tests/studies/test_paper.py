@@ -112,7 +112,8 @@ def test_the_paper_is_typeset(found, tmp_path):
 
 
 def test_each_claim_of_the_paper_has_its_sentence(document):
-    assert [*SENTENCES] == [claim.number for claim in CLAIMS if claim.number < 30]
+    ours = range(30, 34)  # on path guiding and adaptive sampling
+    assert [*SENTENCES] == [claim.number for claim in CLAIMS if claim.number not in ours]
     assert [row["number"] for row in document.content["sentences"]] == [*map(str, SENTENCES)]
     assert all(cell["verdict"] for row in document.content["sentences"] for cell in row["cells"])
 
@@ -176,7 +177,7 @@ def test_the_papers_own_scenes_are_taken_where_they_are(tmp_path):
         '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
         '<film type="hdrfilm"/></sensor></scene>'
     )
-    scale = paper_study.Scale(88, 2048, 1)
+    scale = paper_study.Extent(88, 2048, 1)
     scenes = paper_study._scenes(["Bathroom", "WhiteRoom"], tmp_path, scale)
     assert [scene.name for scene in scenes] == ["real-bathroom", "day-room"]
     assert [scene.recipe.size for scene in scenes] == [(88, 88), (88, 88)]
