@@ -1,10 +1,11 @@
 """What a short report costs beside the render that it is about, and the memory that it takes.
 
-The bathroom and the fog are rendered at the settings of a report, 128 x 128 pixels with 512 spp;
-CHDSTAT_SIZE and CHDSTAT_SPP set others. The third store has as many own samples, of null-heavy
-log-normal laws; its report is compared with the render of the bathroom. Every command runs in a
-process of its own, so that its peak memory is its own; times are of the processor, which a busy
-machine stretches least. A failure: a report takes more than 1.5 times its render, or 700 MB.
+The bathroom and the fog are rendered as a report renders them, 128 x 128 pixels with 512 spp, with
+the places where samples fell; CHDSTAT_SIZE and CHDSTAT_SPP set others. The third store has as many
+own samples, of null-heavy log-normal laws; its report is compared with the render of the bathroom.
+Every command runs in a process of its own, so that its peak memory is its own; times are of the
+processor, which a busy machine stretches least. A failure: a report takes more than 1.5 times its
+render, or 700 MB.
 Run with ``pytest benchmarks/test_report_cost.py --benchmark-only -s -n 0``.
 """
 
@@ -42,7 +43,7 @@ def renders(tmp_path_factory):
     made = {}
     for name in ("bathroom", "fog"):
         store = folder / f"{name}.zarr"
-        made[name] = store, cost("render", name, "-o", store, "--spp", SPP, *size, "-q")
+        made[name] = store, cost("render", name, "-o", store, "--film", "--spp", SPP, *size, "-q")
     rng = np.random.default_rng(0)
     sigma = np.linspace(0.2, 2.0, WIDTH)[:, np.newaxis]
     x = np.exp(rng.standard_normal((HEIGHT, WIDTH, SPP), np.float32) * sigma)
