@@ -201,7 +201,8 @@ def analyze(
     own = {VarianceByPlace, *(type(statistic) for statistic in statistics.values())}
     others = {k.__name__: k.of_pixel(samples.spp) for k in shown_statistics() if k not in own}
     statistics |= others
-    known = thresholds, held_out, resamples, seed, *filter(None, others.values())
+    some = filter(None, (statistics["film"], *others.values()))
+    known = thresholds, held_out, resamples, seed, *some
     return _measured(samples, statistics, known, checkpoint, progress=progress, client=client)
 
 
@@ -235,7 +236,8 @@ def patterns_of(
             "normality": Normality(),
             "averages": NormalityOfMeans.of_pixel(samples.spp),
         }
-    return _measured(samples, statistics, ("patterns", families), checkpoint, progress=progress)
+    known = "patterns", families, statistics["film"]
+    return _measured(samples, statistics, known, checkpoint, progress=progress)
 
 
 def _measured(

@@ -76,7 +76,8 @@ class Pixel(Shown):
         Name of the scene.
     parts
         Radiance of the same samples with a part of their light: by segments if they were rendered
-        with ``by_depth=``, by names of lights if with ``by_light=``.
+        with ``by_depth=``, by names of lights if with ``by_light=``. With ``film=True``, also where
+        they fell in the pixel, by 0.
     sequence
         Number of samples that depend on each other; 1 if they are independent.
     most_fitted
