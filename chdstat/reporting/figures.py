@@ -371,6 +371,16 @@ def _maps(shown: ReportData) -> Figure:
     return figure
 
 
+def _within_pixels(shown: ReportData) -> Figure | None:
+    """Draw how much of the variance is the picture changing within the pixel, where known."""
+    split = shown.data.film_split
+    if split is None:
+        return None
+    figure = viz.map_grid(1, columns=1, aspect=split.sizes["y"] / split.sizes["x"], width=_PAIR / 2)
+    viz.film_split(split, ax=figure.axes[0])
+    return figure
+
+
 # --- a comparison ---------------------------------------------------------------------------------
 
 
@@ -431,6 +441,10 @@ samples that miss, by the pixel and those around it (above #data.thresholds.miss
 long); family of luminance with the smallest BIC#if has("averages") [; and the least N at which
 normality of averages is not rejected, in the channel that needs most]. Grey pixels have too few
 usable samples.""", full=True),
+    ReportFigure("within", "maps", _within_pixels, """
+*The picture within pixels.* Share of the variance of luminance that is between places in the pixel,
+as at an edge, where it is significant at a false-discovery rate of 5 %; strata over the pixel take
+it away. The rest is of paths.""", full=True),
     ReportFigure("atlas", "shapes", _atlas, """
 *Atlas of shapes*: histograms of log luminance, aligned by the mean of log10 radiance so that
 brightness does not count, and grouped by k-means in Cramér's distance @cramer1928. Left: the shape

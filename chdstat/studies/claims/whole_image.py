@@ -342,4 +342,5 @@ def within_pixels(data: SceneData) -> Finding:
             ClaimTest(f"{name}, median pixel", whole.median(excess), most=_SLIGHTLY),
         ),
         plot_data=PlotData.bars(shown, "between places over paths, at most"),
+        few="pixels",
     )
