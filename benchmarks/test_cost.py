@@ -9,8 +9,9 @@ variances of many samples and from the costs of adaptive renders, which draw pix
 relMSE x time of adaptive counts that know costs over that of others; and the best that counts in
 proportion to the root of variance over cost could reach, over counts in proportion to the root of
 the variance, if both were known; also if samples cost what they do in whole passes.
-CHDSTAT_COST names other scenes. A failure: samples take more than a quarter longer anywhere; a map
-far from the direct one (more than 25 % for half of the cells); or adaptive renders that lose 3 % by
+CHDSTAT_COST names other scenes. On a busy machine, the two measurements differ by its state. A
+failure: samples take more than a quarter longer anywhere; a map that orders cells much worse than
+the direct measurement does, or is a factor of 1.6 from it; or adaptive renders that lose 3 % by
 costs.
 """
 
@@ -67,7 +68,7 @@ def overhead(scene):
         taken = []
         for cost in (False, True):
             begun = time.process_time()
-            rendered(scene, spp=64, seed=seed, cost=cost)
+            rendered(scene, spp=256, seed=seed, cost=cost)
             taken.append(time.process_time() - begun)
         ratios.append(taken[1] / taken[0])
     return float(np.median(ratios))
@@ -116,5 +117,6 @@ def test_costs_of_samples(as_benchmark):
             print(f"\n{'':16}" + "".join(f"{title:>10}" for title in row))
         print(f"{scene:16}" + "".join(f"{x:10.3f}" for x in row.values()), flush=True)
         assert row["overhead"] < 1.25
-        assert 0.75 < row["ratio"] < 1.25
+        assert row["rank"] > row["bound"] - 0.2
+        assert 0.6 < row["ratio"] < 1.6
         assert row["adaptive"] < 1.03

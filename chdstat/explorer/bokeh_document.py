@@ -31,7 +31,16 @@ from chdstat._core.image_scales import tonemap
 from chdstat.explorer.address import BATCH_SIZES, FITS, LOOKS
 from chdstat.explorer.export import EXPORTS
 from chdstat.explorer.image_sources import AnySource, StoreSource
-from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, OF_FILM, Map, ramp
+from chdstat.explorer.overlays import (
+    CONTRASTS,
+    COST,
+    DIFFERENCES,
+    IMAGES,
+    MAPS,
+    OF_FILM,
+    Map,
+    ramp,
+)
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.patterns import Label
@@ -199,6 +208,7 @@ class Page:
         drawn = about[0] if len(set(map(renderer_of, about))) == 1 else {}
         known = MAPS if stores else IMAGES
         left = OF_FILM if all(samples.film is None for samples in stores) else set[str]()
+        left = left | {COST.name} if all(samples.costs is None for samples in stores) else left
         channels = [(str(i), name) for i, name in enumerate(self._channels)]
         return {
             "style": _web("page.css"),

@@ -154,7 +154,13 @@ IMAGES = _table(
     Map("bad_count", "Bad samples", "samples"),
 )
 """Maps that come with the image, a scene's too; attributes of an `Overall`."""
-MAPS = IMAGES | {name: shown for name, (shown, _) in _of_statistics(MOST_POOLED).items()}
+COST = Map("sample_seconds", "Cost of a sample", "µs", log=True)
+"""Map of what was measured while samples were rendered."""
+MAPS = {
+    **IMAGES,
+    **{name: shown for name, (shown, _) in _of_statistics(MOST_POOLED).items()},
+    COST.name: COST,
+}
 """Those, and maps for which samples are read: statistics of the luminance, for `walk`."""
 OF_FILM = {n for n, (_, statistic) in _of_statistics(MOST_POOLED).items() if statistic.film}
 """Maps that need to know where samples fell in their pixel."""
@@ -258,6 +264,17 @@ def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
     return maps
 
 
+def _microseconds(source: StoreSource) -> Image:
+    """Return what a sample of each pixel takes."""
+    if (costs := source.samples.costs) is None:
+        message = (
+            f"{COST.title!r} needs to know what samples take: render the scene with 'chdstat "
+            "render --cost --backend scalar'"
+        )
+        raise InputError(message)
+    return np.asarray(1e6 * costs.seconds, np.float32)
+
+
 def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
     """Compute a map tile by tile; yield the share that is done, and the values so far.
 
@@ -268,6 +285,9 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
     name
         One of `MAPS`.
     """
+    if name == COST.name:
+        yield 1.0, _microseconds(source)
+        return
     values = np.full(source.size, np.nan, np.float32)
     if name not in (known := _of_statistics(source.samples.spp)):  # too few samples for it
         yield 1.0, values

@@ -28,7 +28,7 @@ _LONGEST = 4
 """A sample that took this many times as long as 99 % of them did was interrupted."""
 _FINE = 1e-6
 """Resolution that a clock needs, in seconds."""
-_TRIALS = 15
+_TRIALS = 9
 """Pairs of passes that tell what the clock takes."""
 _ONE_AT_A_TIME = threading.Lock()
 """Threads that are timed would wait for each other's turn in Python."""

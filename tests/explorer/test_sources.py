@@ -26,7 +26,7 @@ from chdstat.explorer.image_sources import (
     pooled,
     stream,
 )
-from chdstat.explorer.overlays import IMAGES, MAPS, OF_FILM, map_kind, map_of_view, walk
+from chdstat.explorer.overlays import COST, IMAGES, MAPS, OF_FILM, map_kind, map_of_view, walk
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.patterns import classify, film_split
 from chdstat.rendering import render_pixels
@@ -134,7 +134,7 @@ def test_the_streamed_image_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-@pytest.mark.parametrize("name", [n for n in MAPS if n not in {"pattern", *OF_FILM}])
+@pytest.mark.parametrize("name", [n for n in MAPS if n not in {"pattern", COST.name, *OF_FILM}])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
     if name in IMAGES:
@@ -153,6 +153,15 @@ def test_maps_of_film_need_to_know_where_samples_fell(flames):
     for name in OF_FILM:
         with pytest.raises(InputError, match="--film"):
             ended(walk(StoreSource(flames), name))
+
+
+def test_the_map_of_costs_is_what_was_measured(flames):
+    with pytest.raises(InputError, match="--cost"):
+        ended(walk(StoreSource(flames), COST.name))
+    seconds = 1e-6 * np.arange(1.0, 241).reshape(12, 20)
+    timed = Samples.from_array(flames.read(), seconds=seconds)
+    found = ended(walk(StoreSource(timed), COST.name))
+    np.testing.assert_allclose(found, np.maximum(1e6 * seconds, 120.5 / 20), rtol=1e-5)
 
 
 def test_the_map_of_film_is_the_split():
