@@ -10,7 +10,7 @@ relMSE x time of adaptive counts that know costs over that of others; and the be
 proportion to the root of variance over cost could reach, over counts in proportion to the root of
 the variance, if both were known; also if samples cost what they do in whole passes.
 CHDSTAT_COST names other scenes. On a busy machine, the two measurements differ by its state. A
-failure: samples take more than a quarter longer anywhere; a map that orders cells much worse than
+failure: samples take 30 % longer anywhere; a map that orders cells much worse than
 the direct measurement does, or is a factor of 1.6 from it; or adaptive renders that lose 3 % by
 costs.
 """
@@ -116,7 +116,7 @@ def test_costs_of_samples(as_benchmark):
         if not i:
             print(f"\n{'':16}" + "".join(f"{title:>10}" for title in row))
         print(f"{scene:16}" + "".join(f"{x:10.3f}" for x in row.values()), flush=True)
-        assert row["overhead"] < 1.25
+        assert row["overhead"] < 1.3
         assert row["rank"] > row["bound"] - 0.2
         assert 0.6 < row["ratio"] < 1.6
         assert row["adaptive"] < 1.03

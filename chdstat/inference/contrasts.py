@@ -56,6 +56,7 @@ from chdstat.inference.noise_rankings import (
     named_renders,
     noise_ranking,
 )
+from chdstat.inference.rare_light import RareLight, Unmet
 from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair, independent
 from chdstat.inference.windows import (
@@ -132,7 +133,10 @@ class Contrast(Shown):
     window_channel
         Channel in which it is clearest; "luminance" if R, G and B differ together.
     window_loss
-        How much darker B is in this channel of the window.
+        How much darker B is in this channel of the window, by plain means.
+    window_brighter
+        Render that is brighter there by what was tested: "A" or "B". The test may give noisy pixels
+        less weight than plain means do.
     detectable
         Smallest relative difference that would have been found with a probability of 90 %: in the
         whole ``image``, and in a square of about a ``tenth`` of it, wherever it lies.
@@ -174,6 +178,7 @@ class Contrast(Shown):
     window: tuple[int, int, int, int]
     window_channel: str
     window_loss: float
+    window_brighter: Literal["A", "B"]
     detectable: dict[str, float]
     efficiency_ratio: Interval[float]
     timed: Literal["", "clock", "pixels"]
@@ -260,8 +265,17 @@ class Contrast(Shown):
             return f"render A {a} and render B {b}"
         if two > _MANY_TIMES * one:
             return f"render {other} is {number(two / one)} times as bright"
-        how = "darker" if two < one else "brighter"
-        return f"render {other} is {percent(abs(two / one - 1))} {how}"
+        how, tested = (
+            "brighter" if brighter else "darker"
+            for brighter in (two >= one, self.window_brighter == other)
+        )
+        size = percent(abs(two / one - 1))
+        if how == tested:
+            return f"render {other} is {size} {how}"
+        return (
+            f"render {other} is {tested} where noise is low (few bright samples make its plain "
+            f"mean {size} {how})"
+        )
 
     def _reservation(self) -> str:
         """Return what remains possible if A is darker than an image without samples; or ""."""
@@ -313,6 +327,7 @@ class Contrast(Shown):
             "window": {"y": y, "x": x, "height": height, "width": width},
             "window_channel": self.window_channel,
             "window_loss": self.window_loss,
+            "window_brighter": self.window_brighter,
             "detectable": self.detectable,
             "spp": self.spp,
             "reference": self.reference,
@@ -807,12 +822,25 @@ def contrasting(
     p = maps["p_value"]
     height, width, bands = p.shape
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
-    scan = yield from scan_windows(cells, alpha=alpha * _OF_WINDOWS, seed=seed)
-    smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
-    parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
-    image_p_value = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
+    rare = None if pair.of_image else RareLight(maps, pair.spp)
+
+    def unmet_in(window: Sequence[int], band: int, weights: Floats) -> Unmet | None:
+        if rare is None:
+            return None
+        top, left, rows, columns = (edge * at for at in window)
+        ys, xs = slice(top, min(top + rows, height)), slice(left, min(left + columns, width))
+        of_pixels = weights.repeat(edge, 0).repeat(edge, 1)
+        return rare.in_window(ys, xs, band, of_pixels[ys, xs])
+
+    scan = yield from scan_windows(
+        cells, alpha=alpha * _OF_WINDOWS, seed=seed, is_rare=lambda *of: unmet_in(*of) is not None
+    )
+    p_with_rare = _of_parts(scan.p_with_rare, q)
+    if rare is not None:
+        q[rare.in_pixels() & np.isfinite(q)] = 1.0
+    image_p_value, parts = _of_parts(scan.p_value, q), _parts(scan.p_value, q)
     y, x, rows, columns = (edge * size for size in scan.window)
-    band = scan.band
+    band, higher = scan.band, scan.higher
     (loss, window_loss), detectable = _losses(cells, pair.terms, scan), scan.detectable
     one = (q <= alpha).any(axis=-1).sum() == 1 and parts[1] < parts[0]
     if parts[1] <= alpha and (one or not parts[0] <= alpha):  # a pixel decides
@@ -820,20 +848,21 @@ def contrasting(
         rows = columns = 1
         of_a, of_b = (float(maps[f"mean_{name}"][y, x, band]) for name in "ab")
         window_loss = 1 - of_b / of_a if of_a > 0 else np.nan
+        higher = of_b > of_a
     unseen = (
         scan.unseen if all(pair.units) or not pair.of_image else _hidden(maps, pair, detectable)
     )
-    why, spp_needed = _why_not(maps, pair, detectable, unseen, differ=image_p_value <= alpha)
+    differ = image_p_value <= alpha
+    why, spp_needed = _why_not(maps, pair, detectable, unseen, differ=differ)
+    if p_with_rare <= alpha and not differ:
+        unmet = scan.rare and unmet_in(*scan.rare)
+        why, spp_needed = _may_have_missed(unmet, scan.rare and scan.rare[0], edge, pair)
     dataset = _dataset(maps, pair)
     return Contrast(
         names=pair.names,
         scenes=pair.scenes,
         maps=dataset.assign(pair.shapes(seed) if distributions else {}),
-        outcome="cannot tell"
-        if why
-        else "differ"
-        if image_p_value <= alpha
-        else "no difference found",
+        outcome="cannot tell" if why else "differ" if differ else "no difference found",
         why=why,
         spp_needed=spp_needed,
         image_p_value=image_p_value,
@@ -842,6 +871,7 @@ def contrasting(
         window=(y, x, min(rows, height - y), min(columns, width - x)),
         window_channel=str(dataset["channel"].values[band]),
         window_loss=window_loss,
+        window_brighter="B" if higher else "A",
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
         timed="pixels" if pair.costs else "clock" if np.isfinite(pair.seconds).all() else "",
@@ -854,6 +884,17 @@ def contrasting(
         paired=pair.paired,
         alpha=alpha,
     )
+
+
+def _parts(of_windows: float, q: Floats) -> tuple[float, float]:
+    """Return p-values of windows and of the clearest pixel, each with its share of alpha."""
+    smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
+    return of_windows / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
+
+
+def _of_parts(of_windows: float, q: Floats) -> float:
+    """Return the p-value of the whole test."""
+    return float(np.min([1.0, *(p for p in _parts(of_windows, q) if np.isfinite(p))]))
 
 
 def _drawing(
@@ -962,6 +1003,24 @@ def _why_not(
     if detectable.get("image", np.nan) >= 1:
         return "not even the loss of all light would have been found; render more samples", None
     return "", None
+
+
+def _may_have_missed(
+    unmet: Unmet | None, window: tuple[int, int, int, int] | None, edge: int, pair: Pair
+) -> tuple[str, int | None]:
+    """Return why a difference is no evidence, and the spp that would make it one."""
+    if unmet is None or window is None:
+        why = "pixels differ where one render may have missed light that it meets rarely"
+        return f"{why}: render more samples", None
+    render, spp = "AB"[unmet.render], pair.spp[unmet.render]
+    y, x, height, width = (edge * at for at in window)
+    needed = unmet.needed(spp)
+    where = f"{width} x {height} pixels at {_place((y, x))}"
+    return (
+        f"in {where}, {render} meets its light in samples so rare that {spp} per pixel may have "
+        f"missed them, and the other render does not: render {needed} of {render}",
+        needed,
+    )
 
 
 @np.errstate(all="ignore")

@@ -328,7 +328,8 @@ class Pair:
 
         Maps of shape (y, x, band), luminance first if there are R, G and B, are ``mean_a``,
         ``mean_b``, and ``p_value`` and ``standard_error`` of the difference. Maps of shape (y, x)
-        are ``variance_a`` and ``variance_b`` of a sample's luminance, NaN where unknown, the
+        are ``variance_a`` and ``variance_b`` of a sample's luminance, NaN where unknown (of two
+        renders, ``spread_a`` and ``spread_b`` are those of each band), the
         ``correlation`` of the terms, ``bad_a`` and ``bad_b``, the shares of bad samples, where
         terms are ``constant`` in both, and the ``reason`` why there is no p-value. Against a
         reference, ``hidden`` is light that A does not show, and ``extra`` what the variance of the
@@ -503,6 +504,7 @@ class Pair:
             "variance_b": np.full_like(variance, np.nan)
             if self.of_image
             else sums[1].variance(_averaged(self.b)),
+            **({} if self.of_image else self._spreads(one, other)),
             "correlation": _correlation(one[:, :, 0], other[:, :, 0]),
             "bad_a": 1 - sums[0].good / self._present(0, ys),
             "bad_b": 1 - sums[1].good / self._present(1, ys),
@@ -512,6 +514,13 @@ class Pair:
             "moments": [FlipMoments.of(x, level[..., i]) for i, x in enumerate(bands)],
             **of_units,
             **of_reference,
+        }
+
+    def _spreads(self, *terms: Array) -> dict[str, Floats]:
+        """Return variances of samples in each band, as terms (y, x, band, term) tell them."""
+        return {
+            f"spread_{name}": x.var(axis=-1, dtype=float) * (spp / self.terms)
+            for name, x, spp in zip("ab", terms, self.spp, strict=True)
         }
 
     def _read(self, ys: slice, left_out: LeftOut) -> list[_Sums]:

@@ -14,7 +14,7 @@ of its sign are not exact. Then divisions of the samples of both renders are com
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
@@ -27,6 +27,7 @@ from chdstat.inference.permutations import log_choices, p_of_tail, quantile_of_t
 CHANCE_TO_MISS = 0.05
 """Probability of missing the light that `Contrast.spp_needed` is about."""
 
+_Window = tuple[int, int, int, int]
 _NEAR = (5, 11)
 """Edges of neighbourhoods whose standard errors count where skewness opposes a pixel."""
 _WIDE = (5, 15)
@@ -263,11 +264,19 @@ class WindowTest:
     Attributes
     ----------
     p_value
-        P-value of all windows together: all sizes, bands and both weightings.
+        P-value of all windows together: all sizes, bands and both weightings; without those whose
+        difference is `rare` light.
     window
         Window with the largest sum over its standard error, in cells: y, x, height and width.
     band
         Band of this window.
+    higher
+        Whether the sum over this window is above 0: B is brighter there, by what was tested.
+    p_with_rare
+        The p-value with all windows.
+    rare
+        The clearest of the windows, in cells, that are left out since a render may not have met
+        rare light there, with its band and the weights of cells; None if there is none.
     detectable
         Smallest relative losses that are found with a probability of 90 %: of the whole ``image``,
         and of a square of about a ``tenth`` of it, at any place. Infinite if no loss is; NaN
@@ -283,6 +292,9 @@ class WindowTest:
     band: int
     detectable: dict[str, float]
     unseen: tuple[float, int] | None = None
+    higher: bool = True
+    p_with_rare: float = np.nan
+    rare: tuple[_Window, int, Floats] | None = None
 
 
 @dataclass(frozen=True)
@@ -383,7 +395,11 @@ def _detectable(found: list[_Losses], tests: list[_Crossing], cells: Cells) -> d
 
 
 def scan_windows(
-    cells: Cells, *, alpha: float = 0.05, seed: Seed = 0
+    cells: Cells,
+    *,
+    alpha: float = 0.05,
+    seed: Seed = 0,
+    is_rare: Callable[[_Window, int, Floats], bool] = lambda *_: False,
 ) -> Generator[tuple[str, float], None, WindowTest]:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
@@ -401,7 +417,9 @@ def scan_windows(
     larger p-value counts. Against a reference, fewer than 32 terms have no flips that are rare
     enough: then divisions decide, as far as Welch's test agrees.
 
-    `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. P-values
+    `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. The
+    clearest window of each size counts only if the difference is no rare light, which `is_rare`
+    says of a window in cells, a band, and weights of the cells. P-values
     below those of all flips are those of the tail fitted to them. Yields what is being done, and
     the share that is done.
 
@@ -421,15 +439,15 @@ def scan_windows(
     alone = divisions is not None and cells.slack is not None and terms < FEWEST_FLIPS
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
-    scores, of_divisions, places, losses = [], [], [], []
+    scores, of_divisions, places, where, losses = [], [], [], [], []
     weightings = (lambda _, mean: np.ones_like(mean)), _weights
     total, done = len(d) * len(weightings) * len(edges), 0
     for band in range(len(d)):
         for weigh in weightings:
             weights = weigh(d[band], mean[band])
             values, light, moved = d[band] * weights, mean[band] * weights, None
+            heavy = weights.sum(axis=-1)
             if cells.slack is not None and cells.outlier is not None:
-                heavy = weights.sum(axis=-1)
                 moved = np.stack([cells.slack[band] * heavy, cells.outlier[band] * heavy])
             if cells.units is not None and cells.unit_level is not None:
                 of_units = weigh(cells.units[band], cells.unit_level[band])
@@ -448,18 +466,29 @@ def scan_windows(
                 found = _largest(values, mean[band], light, edge, flips, moved)
                 if found is None:
                     continue
-                largest, place, loss = found
+                largest, (y, x), higher, loss = found
                 windows = _independent(largest[1:])
                 scores.append(_log_p(largest, windows))
-                places.append((largest[0], band, place, edge))
+                place = y, x, min(edge, size[0]), min(edge, size[1])
+                places.append((float(largest[0]), band, place, higher))
+                where.append((place, band, heavy))
                 independent = independent if alone else (windows, *independent)
                 losses.append(replace(loss, windows=independent))
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
-    _, band, (y, x), edge = max(places)
-    tests = []
+    rare = [is_rare(*of) for of in where]
+    left_out = max((i for i, no in enumerate(rare) if no), key=lambda i: places[i][0], default=None)
+    counted = [of for of, no in zip(places, rare, strict=True) if not no]
+    _, band, window, higher = max(counted or places)
+    tests, with_rare = [], np.nan
     if not alone:
-        tests.append(_of_all(scores, np.log(2) * (terms - 1), alpha, terms, 1 / 2))
+        choices = np.log(2) * (terms - 1)
+        tests.append(_of_all(scores, choices, alpha, terms, 1 / 2))
+        with_rare = tests[0][0]
+        if any(rare):
+            for score, no in zip(scores, rare, strict=True):
+                score[0] = 0.0 if no else score[0]
+            tests = [_of_all(scores, choices, alpha, terms, 1 / 2)]
     if divisions is not None:
         count = units.shape[-1]
         choices = float(log_choices(np.array(count), np.array(cells.short)))
@@ -468,8 +497,11 @@ def scan_windows(
     crossings = [crossing for _, crossing in tests]
     return WindowTest(
         p_value=max(p for p, _ in tests),
-        window=(y, x, min(edge, size[0]), min(edge, size[1])),
+        window=window,
         band=band,
+        higher=higher,
+        p_with_rare=max([with_rare, *(p for p, _ in tests[1:])]),
+        rare=None if left_out is None else where[left_out],
         detectable=_detectable(losses, crossings, cells),
         unseen=_unseen(cells, crossings[0](losses[-1].windows[0]) + _Z_90),
     )
@@ -507,8 +539,10 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
 @np.errstate(all="ignore")
 def _largest(
     d: Array, mean: Array, light: Array, edge: int, flips: Image, moved: Array | None
-) -> tuple[Floats, tuple[int, int], _Losses] | None:
+) -> tuple[Floats, tuple[int, int], bool, _Losses] | None:
     """Return the largest standardised sum over windows for each flip, its window, and losses.
+
+    Also whether this sum is above 0.
 
     None without any term. `light` are the terms of all light. Against a reference, all sums of
     cells may be `moved` by rounding, and one by an outlier, shape (2, y, x).
@@ -551,7 +585,8 @@ def _largest(
         missed * moments.scale + rounding,
         np.where(known, window_sums(light.sum(axis=-1, keepdims=True), edge)[0][..., 0], 0),
     )
-    return largest, (int(starts[0][at[0]]), int(starts[1][at[1]])), losses
+    place = int(starts[0][at[0]]), int(starts[1][at[1]])
+    return largest, place, bool(moments.total[tuple(at)] > 0), losses
 
 
 def _without_skewness(z: Floats, moments: FlipMoments) -> Floats:

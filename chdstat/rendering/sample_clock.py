@@ -64,14 +64,15 @@ def _watching(base: type) -> type:
             described["shutter_close"] = inner.shutter_open() + inner.shutter_open_time()
             super().__init__(described)
             self.m_needs_sample_3 = inner.needs_aperture_sample()
-            # Lists of numbers: tuples would set the garbage collector to work.
-            self.inner, self.threads, self.begun = inner, list[int](), list[float]()
-            self.places = list[Any]()
+            self.inner, self.notes = inner, dict[int, tuple[list[float], list[Any]]]()
 
         def sample_ray_differential(self, *arguments: Any) -> Any:
-            self.threads.append(threading.get_ident())
-            self.places.append(arguments[2])
-            self.begun.append(now())
+            thread = threading.get_ident()
+            if (notes := self.notes.get(thread)) is None:
+                notes = self.notes[thread] = [], []
+            begun, places = notes
+            places.append(arguments[2])
+            begun.append(now())
             return self.inner.sample_ray_differential(*arguments)
 
     return WatchingSensor
@@ -121,8 +122,7 @@ class SampleClock:
             yield self._sensor
             return
         with _ONE_AT_A_TIME:
-            for held in (self.watched.threads, self.watched.begun, self.watched.places):
-                held.clear()
+            self.watched.notes.clear()
             yield self.watched
             self._timed.append(self._by_pixel() - self._of_clock)
 
@@ -141,18 +141,17 @@ class SampleClock:
         """
         from chdstat.rendering.rays import BLOCK
 
-        found, drawn = np.full(self._shape, np.nan), self.watched
-        threads, begun = np.array(drawn.threads), np.array(drawn.begun)
-        for thread in np.unique(threads):
-            calls = np.flatnonzero(threads == thread)
-            while len(calls):
-                across, down = drawn.places[calls[0]]
+        found = np.full(self._shape, np.nan)
+        for begun, places in self.watched.notes.values():
+            at = 0
+            while at < len(begun):
+                across, down = places[at]
                 y = int(down * self._shape[0]) // BLOCK * BLOCK
                 x = int(across * self._shape[1]) // BLOCK * BLOCK
                 extent = min(BLOCK, self._shape[0] - y), min(BLOCK, self._shape[1] - x)
                 rows, columns = _order(*extent)
-                own, calls = calls[: len(rows)], calls[len(rows) :]
-                spent = np.diff(begun[own], append=np.nan)
+                spent = np.diff(begun[at : at + len(rows)], append=np.nan)
+                at += len(rows)
                 # The last sample goes on into what ends the block: neighbours stand for it.
                 spent[-1] = spent[-4:-1].mean() if len(spent) > 1 else np.nan
                 found[y + rows, x + columns] = spent
