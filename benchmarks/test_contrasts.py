@@ -56,6 +56,28 @@ def test_levels_of_renders_with_equal_means(as_benchmark, name):
             assert (shares <= LEVELS + 0.01).all()
 
 
+def test_light_that_one_render_meets_by_chance(as_benchmark):
+    """Direct light that follows the material, against both samplings: at most 4 of 30 differ.
+
+    More is a chance of 1 in 64 if 1 in 20 do.
+    """
+    view = {"spp": 48, "size": (64, 64), "backend": "scalar", "progress": False}
+    outcomes = []
+    for seed in range(30):
+        met, both = (
+            chd.render(
+                "cornell-box",
+                seed=100 + 2 * seed + i,
+                integrator={"type": "direct", "emitter_samples": i, "bsdf_samples": 1},
+                **view,
+            )
+            for i in (0, 1)
+        )
+        outcomes.append(chd.contrast(met, both).outcome)
+    print({outcome: outcomes.count(outcome) for outcome in sorted({*outcomes})})
+    assert outcomes.count("differ") <= 4
+
+
 EDGE, DRAWN = 16, 32
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 

@@ -263,18 +263,15 @@ class Contrast(Shown):
         if min(one, means["A"]) <= 0 or two < 0:
             a, b = (f"has a mean of {number(x)}" if x else "is black" for x in means.values())
             return f"render A {a} and render B {b}"
-        if two > _MANY_TIMES * one:
-            return f"render {other} is {number(two / one)} times as bright"
-        how, tested = (
-            "brighter" if brighter else "darker"
-            for brighter in (two >= one, self.window_brighter == other)
-        )
-        size = percent(abs(two / one - 1))
-        if how == tested:
-            return f"render {other} is {size} {how}"
+        size = f"{number(two / one)} times as bright"
+        if two <= _MANY_TIMES * one:
+            size = f"{percent(abs(two / one - 1))} {'brighter' if two >= one else 'darker'}"
+        if (two >= one) == (self.window_brighter == other):
+            return f"render {other} is {size}"
+        tested = "brighter" if self.window_brighter == other else "darker"
         return (
-            f"render {other} is {tested} where noise is low (few bright samples make its plain "
-            f"mean {size} {how})"
+            f"render {other} is {tested} by pixels of little noise, though its plain mean, which "
+            f"few bright samples decide, is {size}"
         )
 
     def _reservation(self) -> str:
