@@ -161,12 +161,14 @@ def _paths(scene: PaperScene) -> Figure | None:
     data = scene.study.data
     if data.shorter is None or not data.regions:
         return None
+    marks = marks_of(data)[:_COMPARED]
     panels = [
         _panel(samples[mark.pixel], f"{mark.name}, {words}", samples.channels)
-        for mark in marks_of(data)[:_COMPARED]
+        for mark in marks
         for words, samples in (("shorter", data.shorter), ("longer", data.samples))
     ]
-    return viz.chd_grid(panels, columns=2)
+    colors = [color for color in viz.PALETTE[: len(marks)] for _ in range(2)]
+    return viz.chd_grid(panels, columns=2, colors=colors)
 
 
 def _reduction(scene: PaperScene) -> Figure:
@@ -188,7 +190,7 @@ def _losses(found: PaperStudy) -> Figure | None:
         figure, axes = panels_in(None, len(scenes), len(scenes), 2.4)
         for ax, scene in zip(axes, scenes, strict=True):
             viz.training(scene.network.losses, ax=ax)
-            ax.set_title(scene.title, loc="left", pad=28)
+            ax.set_title(scene.title, loc="left", pad=34)
     return figure
 
 

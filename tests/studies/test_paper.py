@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import chdstat as chd
 from chdstat.cli import app
@@ -103,8 +104,12 @@ def test_tables_hold_what_the_run_had(found, document):
     assert [f["mse"] for f in document.content["errors"]][1] == "—"
 
 
-def test_the_paper_is_typeset(found, tmp_path):
-    path = found.save_pdf(tmp_path / "paper.pdf")
+def test_the_command_typesets_what_is_there(found, folder, tmp_path):
+    path = tmp_path / "paper.pdf"
+    options = [f"--{name}={value}" for name, value in (TINY | {"only": "MeasureOne"}).items()]
+    done = CliRunner().invoke(app, ["paper", "-o", str(path), "--store", str(folder), *options])
+    assert done.exit_code == 0, done.output
+    assert "as published" in done.output
     text = " ".join(text_of(path).split())
     assert pages_of(path) > 3
     for words in ("Numbers of the paper", "Sentences of the paper", "--edge 800", "patience"):

@@ -52,6 +52,9 @@ def examples():
             viz.averages, [1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05
         ),
         "batch_histograms": partial(viz.batch_histograms, {NAME: RNG.gamma(1.0, size=(8, 4))}),
+        "batches_of_pixels": partial(
+            viz.batches_of_pixels, IMAGE, [MARK], [RNG.gamma(1.0, size=(8, 4))]
+        ),
         "categorical_map": partial(viz.categorical_map, labels, {0: NAME}),
         "chd_axes": partial(viz.chd_axes, LOG),
         "chd_grid": partial(viz.chd_grid, [PANEL]),
