@@ -458,8 +458,8 @@ def film_split(
     Parameters
     ----------
     found
-        Dataset of `chdstat.patterns.film_split`. Where the share is not significant over the image,
-        pixels are light grey; those without variance are dark grey.
+        Dataset of `chdstat.patterns.film_split`, or of `chdstat.analyze`. Where the share is not
+        significant over the image, pixels are light grey; those without variance are dark grey.
     title
         What is shown.
     width
@@ -472,26 +472,27 @@ def film_split(
     InputError
         If the dataset has no such share.
     """
-    if "share_told" not in found:
+    prefix = "" if "share_told" in found else "film_"
+    if f"{prefix}share_told" not in found:
         message = (
             "expected a dataset of chdstat.patterns.film_split, with share_told, got one of "
             f"{', '.join(map(str, found.data_vars))}"
         )
         raise InputError(message)
-    told = found["share_told"].to_numpy()
+    told = found[f"{prefix}share_told"].to_numpy()
     unit = "share of the variance of luminance"
     ax = value_map(np.maximum(told, 0), title=title, unit=unit, limits=(0, 1), width=width, ax=ax)
-    rejected, still = found["rejected"].to_numpy(), LABEL_COLORS["constant"]
+    rejected, still = found[f"{prefix}rejected"].to_numpy(), LABEL_COLORS["constant"]
     known = {
         "not significant": (rejected == 0, MISSING),
-        "no variance": (rejected != rejected, still),
+        "nothing to split": (np.isnan(rejected), still),
     }
     patches = [
         Patch(color=color, label=f"{name} {_percent(float(here.mean()))}")
         for name, (here, color) in known.items()
         if here.any()
     ]
-    without = np.ma.masked_not_equal(np.isnan(rejected), True)
+    without = np.ma.masked_array(np.zeros(told.shape), ~np.isnan(rejected))
     ax.imshow(without, cmap=ListedColormap([still]), interpolation="nearest")
     ax.legend(
         handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2,

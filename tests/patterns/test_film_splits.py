@@ -189,7 +189,9 @@ def test_figures_show_the_split():
     x[3] = 0
     ax = viz.film_split(film_split(known(x, places), progress=False))
     told = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert told == ["not significant 25 %", "no variance 25 %"]
+    assert told == ["not significant 25 %", "nothing to split 25 %"]
+    again = viz.film_split(chd.analyze(known(x, places), progress=False))
+    assert [text.get_text() for text in again.get_legend().get_texts()] == told
     figure = viz.pixel_by_place(pixel(0.9))
     assert next(t.get_text() for t in figure.axes[0].texts).isdecimal()
     with pytest.raises(InputError, match="share_told"):

@@ -8,10 +8,13 @@ import pytest
 import chdstat as chd
 from chdstat._core.resampling import Interval
 from chdstat.analysis import NoiseShares
-from chdstat.reporting import headlines, scene_report
+from chdstat.reporting import figures, headlines, scene_report
 from chdstat.scenes import BUILTIN
+from chdstat.studies.claims import SceneData
 from chdstat.studies.scene_data import WithinPixels
+from chdstat.studies.studies import SceneStudy
 from tests.reporting.contradictions import contradictions
+from tests.viz.figures import texts
 
 RNG_SEED = 3
 
@@ -165,6 +168,13 @@ def test_what_strata_take_follows_from_its_interval(ends, says):
     assert [*headlines._of_strata(None)] == []
 
 
-def test_reports_on_scenes_say_what_strata_would_take(monkeypatch):
+def test_reports_on_scenes_say_and_show_what_strata_would_take(monkeypatch):
     content = content_of("cornell-box", monkeypatch, size=(16, 16), spp=64, backend="scalar")
     assert any("Strata over the pixel" in row["finding"] for row in content["findings"])
+    samples = chd.render("cornell-box", size=(8, 8), spp=64, backend="scalar", film=True)
+    shown = figures.ReportData(SceneStudy(SceneData("box", samples), ()))
+    assert "Variation within the pixel" in texts(figures._within_pixels(shown))
+    shown = figures.ReportData(
+        SceneStudy(SceneData("box", chd.Samples(samples.read(), attrs={})), ())
+    )
+    assert figures._within_pixels(shown) is None

@@ -67,6 +67,15 @@ def copied(folder, tmp_path):
     return Path(shutil.copytree(folder, tmp_path / "renders"))
 
 
+def test_rendered_scenes_say_where_samples_fell(found):
+    rendered, given = found.scenes
+    assert rendered.data.samples.film is not None
+    assert rendered.data.film_split is not None
+    assert (given.data.film_split, given.data.within_pixels) == (None, None)
+    split = next(f for f in given.findings if f.number == 34)
+    assert "192 spp" in split.reason or "film=True" in split.reason
+
+
 def test_each_scene_is_asked_for_every_claim(found):
     single = [c.number for c in CLAIMS if not c.across]
     for scene in found.scenes:
