@@ -34,12 +34,13 @@ from chdstat.io import (
     write_reference,
 )
 from chdstat.patterns import Thresholds, agreement, attribute, film_split
+from chdstat.recording import DrawnPass
 from chdstat.recording.cycles import CyclesSource
 from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.render_tests.checks import verdict_on
 from chdstat.render_tests.verdicts import RenderCheck
 from chdstat.rendering import render_batches, render_pixels
-from chdstat.rendering.backend import probe, resolve
+from chdstat.rendering.backend import activate, probe, resolve
 from chdstat.rendering.jobs import scene_size
 from chdstat.rendering.recipes import check_integrator, load_recipe
 from chdstat.rendering.seeds import max_spp
@@ -103,6 +104,17 @@ def passes_of(first: Any) -> Any:
     return chd.record(lambda _: first, spp=4)
 
 
+def of_blender(**options: Any) -> Any:
+    Path("room.blend").write_bytes(b"BLENDER")
+    return chd.render("room.blend", **options)
+
+
+def built(**options: Any) -> Any:
+    """Render a scene that Mitsuba has built."""
+    with activate(probe("scalar")) as mi:
+        return render(scene=mi.load_dict(mi.cornell_box()), **options)
+
+
 RECORDING: Table = {
     (InputError, noisy): [
         ({"spp": 0}, "spp", "got 0"),
@@ -117,7 +129,10 @@ RECORDING: Table = {
         ("image", "str"),
         (np.zeros(4), "(4,)"),
         (np.zeros((4, 4, 3), np.uint8), "uint8"),
+        ((DrawnPass(np.zeros((4, 4)), film=np.zeros((4, 4))),), "film", "(4, 4, 2)", "(4, 4)"),
+        ((DrawnPass(np.zeros((4, 4)), film=np.full((4, 4, 2), 1.7)),), "0 to 1", "1.7"),
     ],
+    (InputError, of_blender): [({"film": True}, "Cycles", "film")],
     (InputError, partial(CyclesSource, "room.blend")): [
         ({"layer": "Top"}, "'layer'", "view_layer"),
         ({"frame": 1.5}, "frame", "1.5"),
@@ -233,6 +248,7 @@ RENDERING: Table = {
         ({"scene": SKY | {"integrator": TWO}}, "'aov'", "got 2"),
         ({"scene": LIT, "color": "spectral", "by_light": ["lamp"]}, "'sky'"),
     ],
+    (RenderError, built): [({"film": True}, "film", "integrator=")],
     (RenderError, xml): [(MINE + SENSOR, "'mine'")],
     (InputError, recipe): [
         (("schema = 1", "schema = 7"), "schema", "got 7"),
@@ -421,6 +437,9 @@ def opened(name: Any) -> Any:
 
 IN_ROOM: Table = {
     (InputError, array): [
+        ({"film": np.zeros((4, 6, 32))}, "film", "(4, 6, 2, 32)", "(4, 6, 32)"),
+        ({"film": np.full((4, 6, 2, 32), -0.5)}, "film", "0 to 1", "-0.5"),
+        ({"film": np.full((4, 6, 2, 32), "x")}, "film", "numbers"),
         *(({"axes": axes}, "axes", "once") for axes in ("yxc", "yxss", "yxcz", "", "YXCS", 3)),
         ({"array": np.ones((4, 6, 3, 2))}, "'yxcs'"),
         ({"array": np.ones((4, 6, 31, 64))}, "'yxcs'"),
@@ -527,6 +546,10 @@ FIVE_CHANNELS = chd.Samples.from_array(np.ones((8, 8, 5, 64)), axes="yxcs")
 TWO_CHANNELS = chd.Samples.from_array(np.ones((2, 2, 2, 64)))
 TIMED = chd.Samples.from_array(np.ones((4, 4, 3, 48)), render_seconds=4.8)
 FOUR = chd.Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(2, 2, 3, 64)))
+FALLEN, DEPENDENT = (
+    chd.Samples.from_array(FOUR, film=np.random.default_rng(1).random((2, 2, 2, 64)), **about)
+    for about in ({}, {"sequence": 16})
+)
 UP = np.arange(1.0, 30)
 
 
@@ -672,8 +695,13 @@ STATISTICS: Table = {
         (np.ones((2, 30)), "1 or 3 channels", "2"),
     ],
     (InputError, agreement): [(np.zeros(4, int), "shape")],
-    (InputError, film_split): [(SAMPLES, "film=True", "--film")],
     (InputError, attribute): [(np.ones((2, 2, 3, 8)), "--by-depth")],
+    (InputError, partial(film_split, progress=False)): [
+        (FOUR, "film=True", "--film"),
+        ({"samples": FALLEN, "cells": 3}, "2, 4, 8, 16", "3"),
+        ({"samples": FALLEN, "cells": 8}, "128 samples", "64"),
+        (DEPENDENT, "sequence_means"),
+    ],
     (InputError, SAMPLES.regions): [(({},), "at least one region")],
     (InputError, partial(render, scene="bathroom")): [
         ({"by_light": ["lamp"]}, "'lamp'", "sky, sun"),

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Floats, Image, spans
 from chdstat.samples import Samples
 from chdstat.samples.dependence import repeats_in
+from chdstat.samples.film_steps import unevenness
 from chdstat.samples.tiles import TILE
 
 _MOST, _MOST_PASSES = 2**23, 512
@@ -54,6 +55,10 @@ def findings(samples: Samples) -> list[str]:
     values = np.concatenate([c.reshape(-1, *c.shape[2:]) for c in colors])  # (pixel, channel, s)
     repeated = repeats_in(samples.read, samples.shape)
     found += [repeated] if repeated else []
+    if samples.film is not None:
+        places = [np.moveaxis(tile, 2, 0).reshape(2, -1) for tile in _read(samples.film)]
+        uneven = unevenness(np.concatenate(places, axis=1))
+        found += [uneven] if uneven else []
     encoded = _encoded(values)
     found += [*_alpha(tiles), *encoded, *_negative(values)]
     if repeated:

@@ -10,7 +10,8 @@ import numpy as np
 from chdstat._core.arrays import Image, check_real
 from chdstat._core.numbering import number_of, permuted
 from chdstat.errors import InputError
-from chdstat.samples.tiles import LightPart
+from chdstat.samples.film_steps import checked_places
+from chdstat.samples.tiles import FILM, LightPart
 
 SEEDS = 2**30
 """Seeds of passes, and of users."""
@@ -32,15 +33,18 @@ class DrawnPass(NamedTuple):
     parts
         Parts of the same samples, each as `image`: `chdstat.samples.tiles.DIRECT_DEPTH` is emission
         and direct light; a name is what one light or group of lights adds.
+    film
+        Where in its pixel each sample fell, shape (y, x, 2): from 0 to 1 across and down.
     """
 
     image: Image
     features: Mapping[str, Image] = {}
     parts: Mapping[LightPart, Image] = {}
+    film: Image | None = None
 
 
 def checked_pass(found: Any) -> DrawnPass:
-    """Return what a source drew as a pass in single precision.
+    """Return what a source drew as a pass in single precision, its film among the parts.
 
     Raises
     ------
@@ -64,6 +68,9 @@ def checked_pass(found: Any) -> DrawnPass:
         if part.shape != image.shape:
             message = f"part {which!r} must have the shape of the image, {image.shape}, got "
             raise InputError(message + str(part.shape))
+    if found.film is not None:
+        shape = (*image.shape[:2], 2)
+        parts[FILM] = np.asarray(checked_places(found.film, shape, "film that draw returns"))
     return DrawnPass(image, features, parts)
 
 

@@ -30,11 +30,12 @@ from chdstat.recording.pass_checks import findings
 from chdstat.recording.pass_sources import SEEDS, DrawnPass, PassSource, checked_pass, seed_of_pass
 from chdstat.recording.scene_files import SceneFileSource
 from chdstat.samples import Samples, is_store
+from chdstat.samples.film_steps import OF_FILM
 from chdstat.samples.layout import check_same, part_folder
 from chdstat.samples.memory_writer import MemoryWriter
 from chdstat.samples.samples import checked_attrs
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import BATCH, LightPart
+from chdstat.samples.tiles import BATCH, FILM, LightPart
 from chdstat.scenes.plugins import digest_of
 
 if TYPE_CHECKING:
@@ -87,7 +88,8 @@ def record(
         one sample of every pixel: linear radiance, shape (y, x, channel), or (y, x) for one
         channel. A tuple ``(image, features)`` adds first-hit features by name: albedo, normal and
         position (y, x, 3), depth (y, x); their averages over the passes are kept. A
-        `chdstat.recording.DrawnPass` may also have parts of the same light.
+        `chdstat.recording.DrawnPass` may also have parts of the same light, and say where in its
+        pixel each sample fell.
     spp
         Samples per pixel: the number of passes.
     seed
@@ -326,7 +328,7 @@ class _Recording:
             raise StoreError(message)
         features = self._main.feature_names
         for what, theirs, ours in (
-            ("parts of the light", {*self._keepers} - {None}, {*first.parts}),
+            ("parts", {*self._keepers} - {None}, {*first.parts}),
             ("features", {*features}, {*first.features} if features else set()),
         ):
             if theirs != ours:
@@ -378,13 +380,15 @@ class _Recording:
             needed = 4 * math.prod(self._shape) * spp * len(of_all)
             what = f"{spp} samples for each of {width} x {height} pixels"
             check_memory(needed, what, "give a store to write to, or use fewer samples")
-            shape = (height, width, channels, spp)
-            made = {w: MemoryWriter(shape, about) for w, about in of_all.items()}
-            self._keepers = {**made}
+            self._keepers = {
+                which: MemoryWriter((height, width, 2 if which == FILM else channels, spp), about)
+                for which, about in of_all.items()
+            }
             return
         for which, about in of_all.items():
             path = self._place if which is None else self._place / part_folder(which)
-            store = Store.create(path, shape=(height, width, channels, 1), attrs=about)
+            shape = height, width, 2 if which == FILM else channels, 1
+            store = Store.create(path, shape=shape, attrs=about)
             self._keepers[which] = self._opened.enter_context(store)
 
     def _tell_of_others(self) -> None:
@@ -404,7 +408,10 @@ class _Recording:
         if not self._waiting:
             of_pass = 4 * math.prod(self._shape) * len(self._keepers)
             room = min(max(_MOST_BYTES // of_pass, 1), BATCH)
-            self._waiting = {w: np.empty((room, *self._shape), np.float32) for w in self._keepers}
+            self._waiting = {
+                which: np.empty((room, *keeper.ledger.shape[:3]), np.float32)
+                for which, keeper in self._keepers.items()
+            }
         for which, waiting in self._waiting.items():
             waiting[self._drawn] = drawn.image if which is None else drawn.parts[which]
         if self.held + self._drawn >= self._summed:
@@ -469,7 +476,9 @@ class _Recording:
 
 
 def _of_part(attrs: Mapping[str, Any], which: LightPart) -> dict[str, Any]:
-    """Return the provenance of a part of the light."""
+    """Return the provenance of a part of the samples."""
+    if which == FILM:
+        return {**attrs, **OF_FILM}
     if isinstance(which, str):
         return {**attrs, "light": which}
     return {**attrs, "integrator": {**attrs.get("integrator", {}), "max_depth": which}}

@@ -40,7 +40,7 @@ from chdstat.rendering.jobs import OF_INTEGRATOR, Job, built_kind, in_python
 from chdstat.rendering.sample_clock import SampleClock, now, seconds_of_clock, uninterrupted
 from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.costs import SampleCosts
-from chdstat.samples.film_steps import FILM_STEPS, STEPS
+from chdstat.samples.film_steps import OF_FILM
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
@@ -179,8 +179,8 @@ class MitsubaRenderer:
             "chdstat_version": importlib.metadata.version("chdstat"),
             "filter": "box",
             "streams": STREAMS,
-            "units": "pixels" if job.film else "linear radiance",
-            **({FILM_STEPS: STEPS} if job.film else {}),
+            "units": "linear radiance",
+            **(OF_FILM if job.film else {}),
             "notes": self.notes,
             "render_seconds": 0.0,
         }

@@ -127,8 +127,11 @@ def render(
         lights. `chdstat.patterns.attribute` returns their shares, too.
     film
         Also keep where in its pixel each sample fell: `Samples.film`. `chdstat.patterns.film_split`
-        tells from it how much of the variance is between places in the pixel. An `out` with it
-        continues with it.
+        tells from it how much of the variance is between places in the pixel. Samples stay the same
+        to the bit. It takes a byte a sample in a store (a tenth to a quarter of it) and a third
+        more memory, and about 3 % of the time; twice the time where the scalar backend draws
+        samples one by one, which is adaptive renders and samplers that spread samples. An `out`
+        with it continues with it; one without gets the places of its samples, too.
     cost
         Also time the samples of each pixel: `Samples.costs`. Only the scalar backend can tell, and
         its samples stay the same to the bit. `chdstat.contrast` then knows the efficiency of each

@@ -32,6 +32,7 @@ from chdstat._core.arrays import (
     check_real,
     is_bad,
     spans,
+    warn_caller,
     whole,
 )
 from chdstat._core.display import Card, channel_names, duration, png
@@ -51,6 +52,7 @@ from chdstat.samples.dependence import (
     sequence_of,
     warn_of_repeats,
 )
+from chdstat.samples.film_steps import OF_FILM, checked_places, unevenness
 from chdstat.samples.ledger import PixelCounts
 from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart, SampleSource, Work
 
@@ -111,6 +113,7 @@ class Samples:
         *,
         features: Mapping[str, Image] | None = None,
         direct: npt.ArrayLike | None = None,
+        film: npt.ArrayLike | None = None,
         axes: str | None = None,
         counts: npt.ArrayLike | None = None,
         seconds: npt.ArrayLike | None = None,
@@ -130,6 +133,10 @@ class Samples:
             First-hit features by name, each (y, x) or (y, x, component).
         direct
             Emission and direct light of each sample, with the shape of the samples.
+        film
+            Where in its pixel each sample fell, shape (y, x, 2, sample) whatever the axes of
+            `array`: from 0 to 1 across and down. A `chdstat.errors.InputWarning` says if samples do
+            not fall everywhere alike, as they do with a box filter of one pixel.
         axes
             Order of the axes of `array` and `direct`, as letters y, x, c (channel) and s (sample),
             such as "yxsc". None means "yxcs" or "yxs", if that is plausible.
@@ -167,10 +174,17 @@ class Samples:
                     f"direct must have the shape of the samples, {shape}, got {parts[1].shape}"
                 )
                 raise InputError(message)
+        places: Any = None
+        if film is not None:
+            places = checked_places(film, (*shape[:2], 2, shape[3]), "film")
+            if uneven := unevenness(places):
+                warn_caller(f"film: {uneven}")
         found = None if counts is None else check_counts(counts, shape)
         if found is not None:
             absent = np.arange(shape[3]) >= found[..., np.newaxis, np.newaxis]
             parts = [np.where(absent, np.float32(np.nan), part) for part in parts]
+            if places is not None:
+                places = np.where(absent, np.float16(np.nan), places)
         check_features(features or {}, shape)
         arrays = dict(features or {})
         if seconds is not None:
@@ -178,8 +192,10 @@ class Samples:
         attrs = checked_attrs(attrs)
         warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], shape, "samples")
         held = [cls(p, attrs=attrs, features=arrays, counts=found) for p in parts]
+        if places is not None:
+            held[0]._parts[FILM] = cls(places, attrs={**attrs, **OF_FILM}, counts=found)
         if direct is not None:
-            held[0]._parts = {DIRECT_DEPTH: held[1]}
+            held[0]._parts[DIRECT_DEPTH] = held[1]
         return held[0]
 
     @property
@@ -279,7 +295,16 @@ class Samples:
     def film(self) -> Samples | None:
         """Where in its pixel each sample fell, (y, x, 2, sample); None if unknown.
 
-        The two numbers go from 0 to 1, across and down: the middle of one of 16 steps.
+        The two numbers go from 0 to 1, across and down, in pixels: each is the middle of one of 16
+        steps, as many as cells of the finest `chdstat.patterns.film_split`. A store keeps them in
+        one byte a sample, memory in four. Samples that were appended to a store have none.
+
+        Examples
+        --------
+        >>> places = np.random.default_rng(0).random((4, 6, 2, 32))
+        >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)), film=places)
+        >>> samples.film.shape, samples.film.read()[0, 0, :, 0].tolist()
+        ((4, 6, 2, 32), [0.65625, 0.15625])
         """
         return self._parts.get(FILM)
 

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError
+from chdstat._core.work import client_of
+from chdstat.errors import InputError, InputWarning
 from chdstat.patterns import film_split
 from chdstat.patterns.film_splits import split_by_place
+from chdstat.recording import DrawnPass
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
 from tests.stops import stopped
@@ -149,3 +151,91 @@ def test_what_cannot_be_split_says_why():
     scene = render("cornell-box", size=(8, 8), spp=32, backend="scalar")
     found = film_split(scene)
     assert set(np.unique(found["reason"])) <= {0, *map(int, chd.errors.Reason)}
+
+
+def test_places_that_are_given_are_kept_and_follow_their_samples(tmp_path):
+    """Selections, stores, appended samples and clusters; unequal numbers of samples."""
+    rng = np.random.default_rng(4)
+    x, places = rng.gamma(2.0, size=(5, 70, 3, 96)), rng.random((5, 70, 2, 96))
+    counts = rng.integers(32, 97, size=(5, 70))
+    given = chd.Samples.from_array(x, film=places, counts=counts, scene="given")
+    saved = given.save(tmp_path / "a.zarr")
+    for samples in (given, saved, chd.open(tmp_path / "a.zarr"), saved.load()):
+        film = film_of(samples)
+        assert film.dtype == np.float32
+        assert (np.isnan(film) == (np.arange(96) >= counts[..., None, None])).all()
+        assert np.nanmax(np.abs(film - places)) <= STEP / 2
+        part = samples[1:4, 60:].isel(sample=slice(8, None, 2))
+        np.testing.assert_array_equal(film_of(part), film[1:4, 60:, :, 8::2])
+        assert film_of(samples.isel(sample=slice(4))).shape == (5, 70, 2, 4)
+    one, two = film_split(given, progress=False), film_split(saved, progress=False)
+    assert one.attrs["cells"] == 2  # the median pixel has 64 samples
+    np.testing.assert_array_equal(one["places"], two["places"])
+    assert (one["reason"] == 0).all()
+
+
+def test_appended_samples_have_no_places_but_the_first_ones_do(tmp_path):
+    rng = np.random.default_rng(4)
+    x, places = rng.gamma(2.0, size=(2, 4, 4, 1, 64)), rng.random((4, 4, 2, 64))
+    first = chd.Samples.from_array(x[0], film=places, scene="given")
+    first.save(tmp_path / "a.zarr")
+    more = chd.Samples.from_array(x[1], scene="given").save(tmp_path / "a.zarr", append=True)
+    more = chd.open(tmp_path / "a.zarr")
+    assert (more.spp, more.film.spp) == (128, 64)
+    split = film_split(more, progress=False)
+    np.testing.assert_array_equal(split["places"], film_split(first, progress=False)["places"])
+
+
+def test_workers_draw_places_as_threads_do(tmp_path):
+    given = {"size": (66, 5), "spp": 20, "backend": "scalar"}
+    with client_of(None, 1) as client:
+        drawn = render(**given, out=tmp_path / "a.zarr", client=client)
+        split = drawn.map(lambda block: {"n": ((), block[:, :, 0, 0])}, client=client)
+    assert split["n"].shape == (5, 66)
+    assert (film_of(drawn) == film_of(render(**given))).all()
+
+
+def test_a_render_in_a_time_has_places_of_all_it_draws():
+    samples = render(size=(8, 8), spp=2**14, backend="scalar", seconds=0.05)
+    assert not np.isnan(film_of(samples)).any()
+    assert samples.film.spp == samples.spp
+
+
+def test_a_store_without_places_gets_them_later(tmp_path):
+    at = {"out": tmp_path / "a.zarr", "size": (9, 7), "spp": 40, "backend": "scalar"}
+    render(**at, film=False)
+    assert (film_of(render(**at)) == film_of(render(**at | {"out": None}))).all()
+
+
+# --- renderers that are recorded ----------------------------------------------------------------
+
+
+def of_place(seed: int) -> DrawnPass:
+    """Draw passes of an edge in every pixel, and say where samples fell."""
+    rng = np.random.default_rng(seed)
+    film = rng.random((6, 5, 2))
+    return DrawnPass(10.0 * (film[..., 0] > 0.5) + rng.gamma(1.0, size=(6, 5)), film=film)
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_recorded_renderer_says_where_its_samples_fell(tmp_path, stored):
+    out = tmp_path / "a.zarr" if stored else None
+    if stored:
+        chd.record(of_place, spp=70, out=out, progress=False)
+    samples = chd.record(of_place, spp=256, out=out, progress=False)
+    assert samples.film.shape == (6, 5, 2, 256)
+    assert samples.attrs["notes"] == []
+    places = film_split(samples, progress=False)["places"]
+    assert abs(places.mean() - 25) < 4.5 * places.std() / 30**0.5  # else in 1 of 10,000 runs
+
+
+def test_places_of_another_filter_are_told():
+    def tent(seed: int) -> DrawnPass:
+        image, _, _, film, *_ = of_place(seed)
+        return DrawnPass(image, film=film**2)
+
+    with pytest.warns(InputWarning, match="box filter"):
+        chd.record(tent, spp=64, progress=False)
+    places = np.random.default_rng(0).random((4, 4, 2, 64)) ** 2
+    with pytest.warns(InputWarning, match="box filter"):
+        chd.Samples.from_array(np.ones((4, 4, 1, 64)), film=places)
