@@ -434,4 +434,5 @@ def _of_cells(sums: Floats) -> tuple[Floats, Floats]:
         within = variance.sum(axis=-1) / count
         squares = (mean**2 - noise).sum(axis=-1) / count
         square = (mean.sum(axis=-1) ** 2 - noise.sum(axis=-1)) / count**2
-        return within, (squares - square) * (1 - 1 / n.shape[-1]) / (1 - 1 / count)
+        of_all = np.where(known.all(axis=-1), 1, (1 - 1 / n.shape[-1]) / (1 - 1 / count))
+        return within, (squares - square) * of_all
