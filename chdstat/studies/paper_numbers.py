@@ -207,7 +207,7 @@ NUMBERS = (
     Number("5.4", "the order-5 image ends up having higher variance",
            "variance, of longer over shorter paths", _ratio_of("variance")),
     Number("5.4", "taking roughly twice longer to render",
-           "time of a sample, of longer over shorter paths", _time_ratio),
+           "time of a sample, of longer over shorter paths: one measurement", _time_ratio),
     Number("6", "a width-32 input layer [...], three 32-neuron densely connected layers, and a "
            "single output unit", "layers", _layers),
     Number("6", "we uniformly selected 6400 pixels", "pixels that train", _pixels),
