@@ -692,20 +692,27 @@ class Samples:
         return int((len(asked) - _counted(self._counts[ys, xs], asked)).sum())
 
     def to_dataset(self) -> xr.Dataset:
-        """Return samples, features and counts as a labelled dataset; lazily if on disk."""
+        """Return samples, features and counts as a labelled dataset; lazily if on disk.
+
+        Where samples fell is ``film`` (y, x, axis, sample), if it is known of all of them.
+        """
         dims = ("y", "x", "component")
         variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in self.features.items()}
         if self.unequal:
             variables["counts"] = (dims[:2], self.counts, {"long_name": "samples", "units": "1"})
         if self.costs is not None:
             variables |= self.costs.variables()
-        radiance: Any = self._held if self.source is None else self._lazily()
+        if self.film is not None and self.film.spp == self.spp:
+            told = {"long_name": "place in the pixel, across and down", "units": "pixels"}
+            variables["film"] = (("y", "x", "axis", "sample"), self.film._lazily(), told)
         about = {"long_name": "linear radiance", "units": self._attrs.get("unit", "W sr-1 m-2")}
-        variables["radiance"] = (("y", "x", "channel", "sample"), radiance, about)
+        variables["radiance"] = (("y", "x", "channel", "sample"), self._lazily(), about)
         return labelled(self, variables)
 
     def _lazily(self) -> Any:
-        """Return the samples as a dask array that reads its chunks when needed."""
+        """Return the samples; of a source as a dask array that reads its chunks when needed."""
+        if isinstance(self._held, np.ndarray):
+            return self._held
         da: Any = importlib.import_module("dask.array")
 
         def block(block_info: Any) -> Image:
