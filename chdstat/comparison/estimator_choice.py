@@ -292,7 +292,7 @@ def estimate_by(
     features
         First-hit features of the same pixels, for estimators that take them.
     film
-        Where in its pixel each of the samples fell, for estimators that take it.
+        Where in its pixel each sample fell, for estimators that take it, if known of all of them.
     model
         Trained model of an estimator that learns.
     """
@@ -301,7 +301,7 @@ def estimate_by(
         radiance = estimate_by(own, x, features=known, film=film, model=model)
         return through_denoiser(radiance, known if entry.with_features else {})
     options: Any = {"features": known} if own.uses_features and known else {}
-    if own.uses_film and film is not None:
+    if own.uses_film and film is not None and film.shape[-1] == x.shape[-1]:
         options["film"] = film.read()
     return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
 

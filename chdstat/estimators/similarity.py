@@ -257,6 +257,8 @@ class Window:
             for pair in pairs(len(own), width, self.radius):
                 here, there = (tuple(field[place] for field in compared) for place in pair)
                 weight = self.weigh(here, there)[..., np.newaxis]
+                if not weight.any():
+                    continue
                 for target, source in (pair, pair[::-1]):
                     total[target] += weight * own[source]
                     total_squares[target] += weight**2 * own_squares[source]

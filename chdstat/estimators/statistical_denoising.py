@@ -55,8 +55,8 @@ def sakai2024(
     0.02 and 0.1.
 
     Formulas and settings follow the authors' published code, StatMC, except that it repeats the
-    border of the image, leaves out the pixels 20 to the right and below, and gives pixels the same
-    weight whatever their number of samples. The root of a negative sample x is ``-sqrt(-x)``
+    border of the image, leaves out the pixels 20 to the right and 20 below, and gives pixels the
+    same weight whatever their number of samples. The root of a negative sample x is ``-sqrt(-x)``
     (Bickel and Doksum 1981).
 
     Parameters
@@ -246,11 +246,12 @@ def _joint(
     guides = np.concatenate([place[..., :0], *images], axis=-1)
 
     def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
-        far = np.square(here[0] - there[0]).sum(axis=-1)
+        far = np.square(here[0][0, 0] - there[0][0, 0]).sum()  # all pairs are as far
+        if far > radius**2:
+            return np.zeros(here[0].shape[:2])
         unlike = np.square(here[1] - there[1]).sum(axis=-1)
         weight = np.exp(-far / (2 * spread**2) - unlike / 2)
-        weight *= (far <= radius**2) * similarity.not_different(here[2:], there[2:])
-        return np.asarray(weight)
+        return np.asarray(weight * similarity.not_different(here[2:], there[2:]))
 
     return lambda tested: similarity.Window(weigh, (place, guides, *tested), radius)
 

@@ -14,6 +14,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import MEASURES, curve_sizes, error_curve
+from chdstat.comparison.estimator_choice import estimate_by
 from chdstat.comparison.judges import Judge
 from chdstat.comparison.judging import Units
 from chdstat.comparison.metrics import SUMS, errors_of, measures_of
@@ -641,3 +642,5 @@ def test_places_on_the_film_reach_those_who_look_at_them():
         assert np.array_equal(film, places[..., 16 * k : 16 * k + 16])
     assert told[4:6] == [None, None]
     assert np.array_equal(told[-1], places[..., :32])
+    estimate_by(looks[0], samples.read()[..., :32], film=samples.film)
+    assert told[-1] is None  # places of other samples, as after an interrupted render

@@ -57,6 +57,29 @@ def test_guided_renders_of_the_page_are_large_enough() -> None:
         assert int(spp) * pixels == guiding.FEW * paths
 
 
+def test_errors_of_statistical_denoising_are_those_of_its_table() -> None:
+    with (DOCS / "understand/statistical_denoising.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file, skipinitialspace=True))
+    columns = ("StatER: relMSE", "MSE", "OIDN", "default estimate")
+    means = {
+        (spp, name): np.exp(np.mean(np.log([float(row[name].split()[0]) for row in of_spp])))
+        for spp in ("16", "64")
+        for of_spp in [[row for row in rows if row["samples"] == spp]]
+        for name in columns
+    }
+    relative, mse, denoised, ours = (
+        [f"{means[spp, name]:.2f}" for spp in ("16", "64")] for name in columns
+    )
+    page = words(DOCS / "understand/statistical-denoising.rst")
+    assert len({row["scene"] for row in rows}) == 8
+    assert (
+        f"its relMSE is {relative[0]} of StatMC's from 16 samples and {relative[1]} from 64, "
+        f"its MSE {mse[0]} and {mse[1]}."
+    ) in page
+    from_16, from_64 = (f"{denoised[k]} and {ours[k]}" for k in (0, 1))
+    assert f"those have {from_16} of StatMC's from 16 samples, {from_64} from 64." in page
+
+
 def test_errors_of_the_estimate_are_those_of_its_table() -> None:
     with (DOCS / "understand/estimates.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file, skipinitialspace=True))

@@ -214,23 +214,32 @@ def test_errors_of_log_variances_are_bonetts():
     assert (log.var() * 2.80703**2) / bound.mean() == pytest.approx(1, rel=0.2)
 
 
-@pytest.mark.parametrize("slope", [0.0, 3.0])
-def test_variance_that_places_explain_is_subtracted(slope):
-    """A ramp over the pixel adds slope^2 / 12 along x, and as much along y.
+# What the radiance of a place adds to the variance of paths, and what of that is no plane.
+OF_PLACES = {
+    "nothing": (lambda x, _: 0 * x, 0.0, 0.0),
+    "ramp": (lambda x, y: 3 * x + 3 * y, 2 * 9 / 12, 0.0),
+    "step": (lambda x, _: 3.0 * (x > 0.5), 9 / 4, 9 / 16),  # 12 (3 / 8)^2 of it is explained
+    "ridge": (lambda x, _: 3.0 * (abs(x - 0.5) < 0.25), 9 / 4, 9 / 4),  # which no plane follows
+}
 
-    Of 1000 pixels of 256 samples, the mean is within 4.5 standard errors of the variance of paths,
-    less what noise explains by chance: two of 255 degrees of freedom.
+
+@pytest.mark.parametrize("kind", OF_PLACES)
+def test_variance_that_places_explain_is_subtracted(kind):
+    """Means of 1000 pixels of 256 samples, within 4.5 standard errors.
+
+    By chance, places explain two of 255 degrees of freedom of what they have nothing to do with.
     """
+    of_place, added, left = OF_PLACES[kind]
     shape = (20, 50, 1, 256)
     film = places(shape, seed=11)
     paths = np.random.default_rng(12).gamma(4.0, 0.5, size=shape)
-    x = paths + slope * film.sum(axis=2, keepdims=True)
+    x = paths + of_place(*np.moveaxis(film, 2, 0))[:, :, np.newaxis]
     scaled = ScaledSamples.of(x)
     whole, corrected = (_moments(scaled, np.array, f)[1] * scaled.unit**2 for f in (None, film))
-    error = corrected.std() / np.sqrt(1000)
-    assert abs(whole.mean() - (1 + slope**2 / 6)) < 4.5 * whole.std() / np.sqrt(1000)
-    noise = 2 * (1 + 1.2 * slope**2 / 6) / 255
-    assert abs(corrected.mean() - (1 - noise)) < 4.5 * error
+    errors = [4.5 * of.std() / np.sqrt(1000) for of in (whole, corrected)]
+    assert abs(whole.mean() - (1 + added)) < errors[0]
+    by_chance = 2 * (1 + added) / 255
+    assert -errors[1] - by_chance < corrected.mean() - (1 + left) < errors[1]
 
 
 def test_pixels_on_an_edge_keep_their_mean_if_places_are_known():
