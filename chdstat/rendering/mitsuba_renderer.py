@@ -35,9 +35,9 @@ from chdstat.errors import (
     brief,
     did_you_mean,
 )
-from chdstat.rendering.backend import activate, one_thread
+from chdstat.rendering.backend import activate
 from chdstat.rendering.jobs import OF_INTEGRATOR, Job, built_kind, in_python
-from chdstat.rendering.sample_clock import SampleClock, now, seconds_of_clock, uninterrupted
+from chdstat.rendering.sample_clock import SampleClock, now, uninterrupted
 from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.costs import SampleCosts
 from chdstat.samples.film_steps import OF_FILM
@@ -121,7 +121,6 @@ class MitsubaRenderer:
             if self._scalar:  # one sample costs nothing: what cannot be drawn is refused at once
                 with self._telling():
                     self._pixel_scalar(0, 0, 0, 1)
-                    self._of_clock = self._seconds_of_clock() if job.cost else 0.0
 
     @property
     def channels(self) -> int:
@@ -480,8 +479,7 @@ class MitsubaRenderer:
         block = np.empty((samples, height, width, 3), np.float32)
         integrator, clock = self._integrator, None
         if self.job.cost:
-            about = self._sensor_medium, (height, width), self._of_clock
-            clock = SampleClock(self._mi, sensor, *about)
+            clock = SampleClock(self._mi, sensor, self._sensor_medium, (height, width))
         for i, sample in enumerate(numbers):
             seed = self._streams.of_pass(chunk, sample)
             before_pass()
@@ -499,21 +497,6 @@ class MitsubaRenderer:
         if extent not in self._orders:
             self._orders[extent] = stream_numbers(self._mi, extent)
         return self._orders[extent]
-
-    def _seconds_of_clock(self) -> float:
-        """Return what timing a sample takes, as some passes in the middle of the image show."""
-        from chdstat.rendering.rays import BLOCK
-
-        extent = min(BLOCK, self.size[0]), min(BLOCK, self.size[1])
-        middle = (self.size[0] - extent[0]) // 2, (self.size[1] - extent[1]) // 2
-        sensor, integrator = self._sensor(middle, extent), self._integrator
-        with one_thread():
-            return seconds_of_clock(
-                self._mi,
-                sensor,
-                self._sensor_medium,
-                lambda one, seed: integrator.render(self._scene, one, seed=seed, spp=1),
-            )
 
     def _pixel_scalar(self, number: int, y: int, x: int, count: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})

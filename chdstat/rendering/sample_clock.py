@@ -2,10 +2,10 @@
 
 Mitsuba asks the sensor for a ray before each sample, so a sensor that reads a clock and passes the
 question on tells when each sample began. The samples stay the same to the bit. Such a sensor is
-written in Python and takes as long as a quick sample, so that only one pass of 16 is timed. What
-the clock costs is measured before, and subtracted. The clock is the processor time of the thread,
-of which programs that run beside take none. They still share caches: on a busy machine, samples
-seem slower.
+written in Python and takes as long as a quick sample, so that only one pass of 16 is timed. The
+others tell what a sample takes on average: what timed ones take more is the clock's, and
+subtracted. The clock is the processor time of the thread, of which programs that run beside take
+none. They still share caches: on a busy machine, samples seem slower.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import contextlib
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,6 @@ _LONGEST = 4
 """A sample that took this many times as long as 99 % of them did was interrupted."""
 _FINE = 1e-6
 """Resolution that a clock needs, in seconds."""
-_TRIALS = 9
-"""Pairs of passes that tell what the clock takes."""
 _ONE_AT_A_TIME = threading.Lock()
 """Threads that are timed would wait for each other's turn in Python."""
 now = (
@@ -102,36 +100,39 @@ class SampleClock:
         The medium that it is in, or None.
     shape
         (height, width) of the tile.
-    seconds
-        What the clock itself takes for a sample, as `seconds_of_clock` measures it.
     """
 
-    def __init__(
-        self, mi: Any, sensor: Any, medium: Any, shape: tuple[int, int], seconds: float = 0.0
-    ) -> None:
-        self._sensor, self._shape, self._of_clock = sensor, shape, seconds
+    def __init__(self, mi: Any, sensor: Any, medium: Any, shape: tuple[int, int]) -> None:
+        self._sensor, self._shape = sensor, shape
         self.watched = _watching(mi.Sensor)(mi, sensor)
         if medium is not None:
             self.watched.set_medium(medium)
-        self._timed = list[Floats]()
+        self._plain, self._timed = list[float](), list[Floats]()
 
     @contextlib.contextmanager
     def of_pass(self, sample: int) -> Iterator[Any]:
         """Yield the sensor that draws a sample of each pixel."""
         if sample % _EVERY != 1:
+            begun = now()
             yield self._sensor
+            self._plain.append(now() - begun)
             return
         with _ONE_AT_A_TIME:
             self.watched.notes.clear()
             yield self.watched
-            self._timed.append(self._by_pixel() - self._of_clock)
+            self._timed.append(self._by_pixel())
 
     @property
     def costs(self) -> SampleCosts | None:
-        """What the samples of the pixels take; None if no pass was timed."""
-        if not self._timed:
+        """What the samples of the pixels take; None if no pass was timed, or all were."""
+        if not self._timed or not self._plain:
             return None
-        return SampleCosts.of(uninterrupted(np.stack(self._timed, axis=-1)))
+        times = uninterrupted(np.stack(self._timed, axis=-1))
+        known = times[np.isfinite(times)]
+        if not known.size:
+            return None
+        of_clock = known.mean() - np.mean(self._plain) / self._shape[0] / self._shape[1]
+        return SampleCosts.of(times - of_clock)
 
     def _by_pixel(self) -> Floats:
         """Return seconds from the beginning of each sample to that of the next, shape (y, x).
@@ -156,28 +157,3 @@ class SampleClock:
                 spent[-1] = spent[-4:-1].mean() if len(spent) > 1 else np.nan
                 found[y + rows, x + columns] = spent
         return found
-
-
-def seconds_of_clock(mi: Any, sensor: Any, medium: Any, draw: Callable[[Any, int], Any]) -> float:
-    """Return what the clock takes for a sample: how much longer passes take with it than without.
-
-    Parameters
-    ----------
-    sensor
-        A sensor of part of the image.
-    medium
-        The medium that it is in, or None.
-    draw
-        Draws a pass with a sensor and a seed, in the calling thread.
-    """
-    width, height = map(int, sensor.film().crop_size())
-    watched = SampleClock(mi, sensor, medium, (height, width)).watched
-    taken = []
-    for seed in range(_TRIALS + 1):
-        of_both = []
-        for one in (sensor, watched):
-            begun = now()
-            draw(one, seed)
-            of_both.append(now() - begun)
-        taken.append(of_both[1] - of_both[0])
-    return max(float(np.median(taken[1:])) / (width * height), 0.0)
