@@ -58,7 +58,7 @@ def test_each_time_belongs_to_its_pixel(monkeypatch):
 
     monkeypatch.setattr(sample_clock, "_watching", slow)
     costs = render(size=(40, 36), spp=2).costs
-    assert costs.mean.mean() == pytest.approx(0, abs=1e-9)  # other passes take no time by this clock
+    assert costs.mean.mean() == pytest.approx(0, abs=1e-9)  # others take no time
     away = costs.mean - 1e-3 * np.arange(40 * 36).reshape(36, 40)
     away -= np.median(away)
     # The last pixel of each block has the time of its neighbours.
