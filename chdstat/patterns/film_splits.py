@@ -9,7 +9,6 @@ cell counts as of the paths.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, first_of
+from chdstat._core.arrays import Counts, Floats, chunks, first_of
 from chdstat._core.display import percent, reasons, step_of, with_interval
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
 from chdstat._core.statistic import MapKind, Quantity, Result, Statistic, result, variable
@@ -325,24 +324,10 @@ def split_by_place(
     (1.0, 1.0)
     """
     *shape, spp = x.shape
-    rows = math.prod(shape)
-    good = np.isfinite(np.reshape(x, (rows, spp)) + np.reshape(places, (rows, 2, spp)).sum(axis=1))
-    flat = np.where(good, np.reshape(x, (rows, spp)), 0).astype(np.float64)
-    count = good.sum(axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = flat.sum(axis=-1) / count
-        flat = np.where(good, flat - mean[:, np.newaxis], 0)
-        variance = (flat**2).sum(axis=-1) / (count - 1)
-    at = np.nan_to_num(np.reshape(places, (rows, 2, spp)))
-    cell = np.clip((at * k).astype(np.intp), 0, k - 1)
-    group = np.arange(spp) % _GROUPS  # in turns, since pixels may have the first samples only
-    index = (np.arange(rows)[:, np.newaxis] * _GROUPS + group) * k * k + cell[:, 1] * k + cell[:, 0]
-    sums = np.stack(
-        [
-            np.bincount(index.ravel(), weights.ravel(), rows * _GROUPS * k * k)
-            for weights in (good.astype(np.float64), flat, flat**2)
-        ]
-    ).reshape(3, rows, _GROUPS, k * k)
+    flat, at = np.reshape(x, (-1, spp)), np.reshape(places, (-1, 2, spp))
+    parts = [_cell_sums(flat[part], at[part], k) for part in chunks(len(flat), spp)]
+    sums, of_rows = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
+    count, mean, squares, fourth = of_rows
     whole = sums.sum(axis=2)
     within, between = _of_cells(whole)
     left_out = _of_cells(whole[:, :, np.newaxis] - sums)
@@ -350,9 +335,8 @@ def split_by_place(
         share, shares = (b / (w + b) for w, b in ((within, between), left_out))
         margin = _T * _jackknifed(shares)
         interval = np.clip(np.stack([share - margin, share + margin], axis=-1), 0, 1)
-        p_value = _of_permutations(
-            *whole[:2], *(v.sum(axis=-1) for v in (flat**2, flat**2 * flat**2))
-        )
+        p_value = _of_permutations(whole[0], whole[1], squares, fourth)
+        variance = squares / (count - 1)
         constant = variance <= (CONSTANT_SPREAD * mean) ** 2
     error = _jackknifed(left_out[1])
     limit = 2 * between - _of_cells(_coarse(whole, k))[1]
@@ -362,7 +346,7 @@ def split_by_place(
             Reason.ALL_BAD: count == 0,
             Reason.ALL_NULL: (mean == 0) & (variance == 0),
             Reason.CONSTANT: constant,
-            Reason.TOO_FEW: ~np.isfinite(sum(v.reshape(rows, -1).sum(axis=1) for v in numbers)),
+            Reason.TOO_FEW: ~np.isfinite(sum(v.reshape(len(v), -1).sum(axis=1) for v in numbers)),
         }
     )
     for values in numbers:
@@ -370,6 +354,34 @@ def split_by_place(
     found = [v.reshape((*shape, *v.shape[1:])) for v in (*numbers, reason)]
     fields: list[Any] = [*found, k]
     return FilmSplit(*fields)
+
+
+def _cell_sums(
+    x: npt.NDArray[np.floating], places: npt.NDArray[np.floating], k: int
+) -> tuple[Floats, Floats]:
+    """Return sums of the samples of rows, less the mean of their row.
+
+    That is, by group and cell, their number, their sum and that of their squares, shape (3, row,
+    group, cell); and for each row their number, their mean, and the sums of their squares and
+    fourth powers, shape (4, row).
+    """
+    rows, spp = x.shape
+    good = np.isfinite(x + places.sum(axis=1))
+    flat = np.where(good, x, 0).astype(np.float64)
+    count = good.sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = flat.sum(axis=-1) / count
+        flat = np.where(good, flat - mean[:, np.newaxis], 0)
+    cell = np.clip((np.nan_to_num(places) * k).astype(np.intp), 0, k - 1)
+    group = np.arange(spp) % _GROUPS  # in turns, since pixels may have the first samples only
+    index = (np.arange(rows)[:, np.newaxis] * _GROUPS + group) * k * k + cell[:, 1] * k + cell[:, 0]
+    squared = flat**2
+    sums = [
+        np.bincount(index.ravel(), weights.ravel(), rows * _GROUPS * k * k)
+        for weights in (good.astype(np.float64), flat, squared)
+    ]
+    of_rows = [count, mean, squared.sum(axis=-1), np.vecdot(squared, squared)]
+    return np.reshape(sums, (3, rows, _GROUPS, k * k)), np.stack(of_rows).astype(np.float64)
 
 
 def _coarse(sums: Floats, k: int) -> Floats:

@@ -313,6 +313,8 @@ class Samples:
         if self.film is None:
             return None
         known = self.film.read(ys, xs)
+        if known.shape[3] == self.spp:
+            return known
         found = np.full((*known.shape[:3], self.spp), np.nan, np.float32)
         found[..., : known.shape[3]] = known
         return found
