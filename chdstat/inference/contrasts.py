@@ -58,7 +58,7 @@ from chdstat.inference.noise_rankings import (
 )
 from chdstat.inference.rare_light import RareLight, Unmet
 from chdstat.inference.references import Reference
-from chdstat.inference.render_pairs import Pair, independent
+from chdstat.inference.render_pairs import Pair, independent, seconds_of
 from chdstat.inference.windows import (
     CHANCE_TO_MISS,
     LEAST_LIGHT,
@@ -581,7 +581,9 @@ def contrast(
     gives exact p-values, with any tails and nulls, whether or not the renders share random numbers.
     If they do, the terms are smaller, and smaller differences are found. If the renders agree in
     their means only, flips of signs are right for many samples. Where rare bright paths decide, the
-    neighbours of a pixel show what it may have missed (`chdstat.inference.windows`).
+    neighbours of a pixel show what it may have missed (`chdstat.inference.windows`). Where one
+    render meets light by chance in few and large samples, and the other in many small ones, a
+    window without that light is no evidence (`chdstat.inference.rare_light`).
 
     **Unequal numbers**, such as with a reference. A term is then a sample of the shorter render
     minus the average of many, and flips of its sign are not exact. But if both renders have one
@@ -783,16 +785,18 @@ def with_noise(
         Show progress, as `contrast`.
     """
     contrasts = [*found.contrasts.values()]
-    sides = [*((of, "a", 0) for of in contrasts), (contrasts[0], "b", 1)]
+    sides = [*((of, "a") for of in contrasts), (contrasts[0], "b")]
     ranked = [
         RankedRender(
             name,
             samples,
             of.maps[f"mean_{side}"].to_numpy()[..., -samples.shape[2] :],
             of.maps[f"variance_{side}"].to_numpy(),
-            of.seconds[i],
+            seconds,
         )
-        for (name, samples), (of, side, i) in zip(renders.items(), sides, strict=True)
+        for (name, samples), (of, side), seconds in zip(
+            renders.items(), sides, seconds_of([*renders.values()]), strict=True
+        )
     ]
     with track("ranking renders", 0, unit="render", show=progress):
         noise = noise_ranking(ranked, alpha=found.alpha, patterns=patterns, progress=progress)

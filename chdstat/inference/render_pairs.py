@@ -16,7 +16,7 @@ unit of radiance.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -235,11 +235,9 @@ class Pair:
         paired = isinstance(b, Samples) and a.shares_numbers_with(b)
         if paired and seconds is None:
             counts = [min(counts)] * 2
-        each = [time / _averaged(x) for time, x in zip(times, renders, strict=True)]
+        each = seconds_of(renders)
         maps = [x.costs.seconds for x in renders if x.costs is not None]
         costs = (maps[0], maps[1]) if len(maps) == 2 else None
-        if costs is not None:
-            each = [_in_every_pixel(own, x.counts) for own, x in zip(costs, renders, strict=True)]
         return cls(
             a,
             b,
@@ -720,6 +718,22 @@ def _scenes(a: Samples, b: Samples | Reference) -> tuple[str, str]:
 def _averaged(samples: Samples | Reference) -> int:
     """Return how many samples each value is the average of."""
     return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
+
+
+def seconds_of(renders: Sequence[Samples]) -> list[float]:
+    """Return the rendering time of one sample in every pixel of each render; NaN if unknown.
+
+    It is the sum of what samples of single pixels take if all renders know it, else the time on the
+    clock of each.
+    """
+    costs = [x.costs for x in renders]
+    if costs and all(of is not None for of in costs):
+        return [
+            _in_every_pixel(of.seconds, x.counts)
+            for of, x in zip(costs, renders, strict=True)
+            if of is not None
+        ]
+    return [float(x.attrs.get("render_seconds") or np.nan) / x.spp / _averaged(x) for x in renders]
 
 
 def _in_every_pixel(seconds: Floats, counts: PixelCounts) -> float:

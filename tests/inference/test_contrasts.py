@@ -12,7 +12,7 @@ from chdstat.inference import contrast
 from chdstat.inference.contrasts import contrasting
 from chdstat.inference.permutations import p_of_signs
 from chdstat.inference.references import Reference
-from chdstat.inference.render_pairs import Pair
+from chdstat.inference.render_pairs import Pair, seconds_of
 from chdstat.inference.windows import Cells, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
 from tests.luminance import LUMINANCE
@@ -737,3 +737,16 @@ def test_efficiency_takes_the_measured_time_of_each_pixel():
     assert "measured time" in found.table()["efficiency of B over A"]
     assert contrast(a, chd.Samples.from_array(y, render_seconds=2.0)).timed == "clock"
     assert contrast(chd.Samples.from_array(x), b).timed == ""
+
+
+def test_a_ranking_takes_measured_times_only_if_all_renders_know_them():
+    rng, of_all = np.random.default_rng(8), np.full((8, 8), 0.5)
+    timed = [
+        chd.Samples.from_array(x, seconds=of_all, render_seconds=64.0)
+        for x in rng.gamma(2.0, size=(2, 8, 8, 1, 64))
+    ]
+    other = chd.Samples.from_array(rng.gamma(2.0, size=(8, 8, 1, 64)), render_seconds=64.0)
+    assert seconds_of(timed) == [32.0, 32.0]
+    assert seconds_of([*timed, other]) == [1.0, 1.0, 1.0]
+    found = contrast({"a": timed[0], "b": timed[1], "c": other})
+    assert set(found.noise.seconds.values()) == {1.0}
