@@ -95,7 +95,8 @@ def test_stores_keep_it_and_go_on_with_it(tmp_path):
     found = chd.open(tmp_path / "a.zarr")
     assert found.film.shape == (3, 70, 2, 96)
     assert found.isel(y=slice(2, 4), sample=slice(5)).film.shape == (1, 70, 2, 5)
-    assert inspect(tmp_path / "a.zarr")["film_spp"] == 96
+    told = inspect(tmp_path / "a.zarr", verify=True)
+    assert (told["film_spp"], told["damaged"]) == (96, [])
 
 
 def test_adaptive_samples_fall_where_their_light_tells(backend):
