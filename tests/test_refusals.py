@@ -773,6 +773,10 @@ ESTIMATORS: Table = {
     (InputError, lambda shape: CombinationStream(shape).estimate()): [(((4, 4, 3),), "at least 4")],
     (InputError, chd.estimators.zirr2018_pixel): [(np.ones((2, 8)), "1 or 3", "2")],
     (InputError, chd.estimators.lookup): [("men", "'men'", "mean")],
+    (InputError, lambda film: chd.estimators.sakai2025(np.ones((3, 3, 3, 8)), film=film)): [
+        (np.zeros((3, 3, 8)), "(3, 3, 2, 8)", "(3, 3, 8)"),
+        (np.zeros((3, 3, 2, 4)), "(3, 3, 2, 4)"),
+    ],
     (InputError, partial(chd.estimators.train_model, PLAIN)): [
         ("mean", "mean", "elek2019"),
         ("nobody", "'nobody'"),

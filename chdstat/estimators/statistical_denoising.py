@@ -153,7 +153,7 @@ def sakai2025(
     corrected variances are averaged with the weights of uncorrected ones; kurtosis is not trimmed
     (sums of powers cannot be), and mean absolute deviations, which are handed over, are not used;
     pixels without variance share none. Covariances are exact, where its running sums are too small
-    by a few per cent. Its adaptive sampling, by the averaged variances, is left out.
+    (by 16 % from 16 samples). Its adaptive sampling, by the averaged variances, is left out.
 
     Parameters
     ----------
