@@ -104,7 +104,7 @@ class FilmSplit(Result):
         if holds:
             return (
                 f"{share} is the picture changing within the pixel, {between}, which strata take "
-                "away; the rest is of paths"
+                "away; the rest is of paths, or of finer changes"
             )
         return (
             f"{share} of what the samples show is the picture changing within the pixel, {between};"
