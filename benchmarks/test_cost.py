@@ -31,7 +31,7 @@ from chdstat.rendering.sample_clock import now
 
 SCENES = "caustic cornell-box many-lights night-room bathroom fog day-room gallery"
 VIEW = {"size": (64, 64), "backend": "scalar", "progress": False}
-CELL, ROUNDS = 8, 4
+CELL, ROUNDS = 8, 2
 
 
 def by_cells(values):
@@ -64,11 +64,11 @@ def rendered(scene, **options):
 def overhead(scene):
     """Return the time of a render with costs over one without, the median of pairs."""
     ratios = []
-    for seed in range(5):
+    for seed in range(3):
         taken = []
         for cost in (False, True):
             begun = time.process_time()
-            rendered(scene, spp=256, seed=seed, cost=cost)
+            rendered(scene, spp=128, seed=seed, cost=cost)
             taken.append(time.process_time() - begun)
         ratios.append(taken[1] / taken[0])
     return float(np.median(ratios))
@@ -98,7 +98,7 @@ def gained(scene, samples):
 
 def test_costs_of_samples(as_benchmark):
     for i, scene in enumerate(os.environ.get("CHDSTAT_COST", SCENES).split()):
-        samples = rendered(scene, spp=512, cost=True)
+        samples = rendered(scene, spp=256, cost=True)
         found, direct = by_cells(samples.costs.seconds), measured_directly(scene)
         whole = np.median(direct, axis=0)
         ratio = found / whole
