@@ -1,27 +1,28 @@
 """Path guiding: draw directions towards light that earlier paths have found.
 
 `trained` traces paths, learns a `Guide` from them, and throws them away. A guide has a distribution
-of directions for each cell of space. `into_scene` puts a guide into the materials of a scene, so
+of directions for each cell of surfaces. `into_scene` puts a guide into the materials of a scene, so
 that all of Mitsuba's integrators use it. A share of the directions comes from the BSDF, the
 rest from the guide. Each direction is weighted by the density of both together (Veach and Guibas
 1995, the balance heuristic in one sample). A wrong guide thus makes noise, but never a bias. The
 guide is frozen before the first sample is drawn, so that samples are independent. Media are not
 guided: they draw from their phase functions.
 
-The method is that of Müller, Gross and Novák, "Practical path guiding for efficient light-transport
-simulation", 2017, doi:10.1111/cgf.13227, and Müller, "Practical path guiding in production", 2019,
-doi:10.1145/3305366.3328091 (section 10). Two things differ:
+The idea is that of Müller, Gross and Novák, "Practical path guiding for efficient light-transport
+simulation", 2017, doi:10.1111/cgf.13227. The distributions are simpler and sharper:
 
-- The guide learns the light that a path carries on, including cosine and BSDF, as suggested by Rath
-  et al., "Variance-aware path guiding", 2020, doi:10.1145/3386569.3392441.
-- A cell does not keep directions, but points on a sphere around its center. The radius of the
-  sphere is the distance of the light that reaches the cell, so that rays from all positions in the
-  cell go to the same points (Ruppert et al., "Robust fitting of parallax-aware mixtures for path
-  guiding", 2020, doi:10.1145/3386569.3392421).
+- A cell holds surfaces that face to one of six sides, in a cube that is halved until few vertices
+  of paths are left. Directions are relative to the normal, so that none goes below the surface.
+- A distribution is a square of bins, which is mapped to the hemisphere so that equal areas are
+  equal shares of a diffuse reflection (Shirley and Chiu, "A low distortion map between disk and
+  square", 1997, doi:10.1080/10867651.1997.10487479, and Malley's method). The cosine thus needs no
+  bins, and a guide without knowledge draws as a diffuse material does.
+- What a path finds behind its next vertex is replaced by the mean of all paths near that vertex, as
+  Dahm and Keller, "Learning light transport the reinforced way", 2017, doi:10.1145/3084363.3085032,
+  do. A cell then needs fewer paths.
+- A cell with few paths leans on the larger cubes around it.
 
-Trees are sorted lists. A k-d tree that halves x, y and z in turn, and a quadtree, number their
-places by Morton codes. Their leaves are intervals of these codes; a lookup is a binary search for
-the last leaf that begins at or before a code.
+Bins have whole numbers of equal chances, so that a direction is drawn by one lookup.
 """
 
 from __future__ import annotations
@@ -41,54 +42,51 @@ from chdstat.rendering.rays import sensed
 from chdstat.samples.layout import GUIDE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from chdstat.rendering.jobs import Job
     from chdstat.rendering.seeds import Streams
     from chdstat.samples.store import Store
 
 dr: Any = drjit
-Codes = npt.NDArray[np.uint64]
+Codes = npt.NDArray[np.uint32]
 
-_SHARE = 0.7
+_SHARE = 0.3
 """Share of directions that come from the BSDF. A path that the guide does not expect is rarer by
-this factor at each vertex, and weighs more. With a smaller share, such paths are outliers; with a
-larger one, the guide helps less.
+this factor at each vertex, and weighs more.
 """
 WORTH = 0.7
 """A guide pays if it multiplies the variance by less than this. A guided sample costs up to 1.65
 times an unguided one, 1.3 times in most scenes. Measured times would vary from run to run."""
-FEW = 64
+FEW = 32
 """With fewer samples than this times the paths of a training, a guide is not tried. Learning that
-it does not pay could cost more than a seventh of the render; with half as many samples, it was 0.28
-of the render in two of three scenes."""
-_AXIS = 8
-"""Bits of a position along each axis: the smallest cells are 1/256 of the scene."""
-_SQUARE = 10
-"""Bits of each of the two coordinates of a direction."""
-_PLACES, _DIRECTIONS = 2 ** (3 * _AXIS), 2 ** (2 * _SQUARE)
-_SPHERE = 4 * np.pi
-_LARGEST_LEAF, _KNOWN = 0.01, 64
-"""A square is divided if it holds more than this share of the light of a cell (Müller et al. 2017),
-and if more than this many paths are known to go there; fewer would only show chance."""
-_EVERYWHERE = 0.1
-"""Share of a guide that is uniform, so that no direction is left out."""
-_PER_CELL = 8
-"""A cell is halved if it has more vertices than this times the root of the number of all."""
+it does not pay could cost more than a seventh of the render."""
+_AXIS = 7
+"""Bits of a position along each axis: the smallest cells are 1/128 of the scene."""
+_SIDES = 6
+_PLACES = _SIDES << 3 * _AXIS
+_EDGE = 24
+"""Bins along the edge of the square of directions."""
+_BINS = _EDGE**2
+_CHANCES = 8 * _BINS
+"""Equal chances that the bins of a cell share. Bins without one are left to the BSDF."""
+_PER_CELL, _PER_MEAN = 3000, 256
+"""A cube is halved if it has more vertices than this; to learn directions, and to learn means of
+the light that leaves vertices."""
+_PRIOR = 100
+"""A cell leans on the cube around it as if that were so many equal paths."""
+_OUTLIER = 20
+"""Paths that carry more than this times the mean of their cell are counted as if they did not."""
 _PASSES = 3
 """Passes of a training."""
-_ROOM = 15, 12
-"""Steps of searches during a training: one kernel serves all passes."""
-_PATHS = 8
+_PATHS = 16
 """Paths of all passes for each pixel."""
-_FEWEST, _MOST = 2**17, 2**20
+_FEWEST, _MOST = 2**17, 2**21
 """Least and largest number of paths of a training."""
-_VERTICES = 5
-"""Vertices of a path to learn from."""
-_ROUND = 1.05
-"""Radius of the sphere around a cell, relative to the cell."""
+_VERTICES = 6
+"""Vertices of a path that are kept."""
 _LEAST = 1e-12
-"""Least size of a square, in place of 0 by rounding."""
+"""Least variance, in place of 0."""
 _BLOCKS = 8
 """Blocks along a side of the image in which variances are compared."""
 _R2 = 3242174889, 2447445414
@@ -99,33 +97,21 @@ _LONGEST, _ROULETTE = 64, 4
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Distributions of directions in cells of space; without cells, it guides nothing.
+    """Distributions of directions in cells of surfaces; without cells, it guides nothing.
 
     Attributes
     ----------
     box
         Lowest and highest corner of the divided space, shape (2, 3).
     cells
-        Morton code at which each cell begins, ascending, shape (cell,).
-    centers
-        Center of the paths of each cell, shape (cell, 3).
-    nearness
-        One over the distance from the center to the nearest light of each cell, shape (cell,).
-    first
-        Number of the first leaf of each cell, and the number of all leaves, shape (cell + 1,).
-    leaves
-        Morton code at which each leaf begins, ascending from 0 within its cell, shape (leaf,).
-    below
-        Probability of all earlier leaves of the same cell, shape (leaf,).
+        Code of a place at which each cell begins, ascending, shape (cell,).
+    chances
+        Whole number of the chances of each bin, the same sum in each cell, shape (cell, bin).
     """
 
     box: Image
-    cells: npt.NDArray[np.uint32]
-    centers: Image
-    nearness: Image
-    first: npt.NDArray[np.uint32]
-    leaves: npt.NDArray[np.uint32]
-    below: Image
+    cells: Codes
+    chances: npt.NDArray[np.uint16]
 
     @property
     def digest(self) -> str | None:
@@ -141,69 +127,61 @@ class Guide:
     def arrays(self) -> dict[str, Image]:
         """The guide as two arrays, which are kept beside samples; none if it guides nothing.
 
-        Codes and numbers of leaves are below 2^24, so that they are exact in single precision.
+        Codes are below 2^24, so that they are exact in single precision.
         """
         if not self.cells.size:
             return {}
-        columns = (self.centers, self.nearness, self.cells, self.first[:-1])
-        cells = np.column_stack(columns).astype(np.float32)
-        box = np.pad(self.box, ((0, 0), (0, 3)))
-        leaves = np.stack([self.leaves, self.below], axis=1).astype(np.float32)
-        return dict(zip(GUIDE, (np.concatenate([box, cells]), leaves), strict=True))
+        cells = np.append(self.box, self.cells).astype(np.float32)
+        return dict(
+            zip(GUIDE, (cells[:, np.newaxis], self.chances.astype(np.float32)), strict=True)
+        )
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Image]) -> Guide:
         """Return the guide from its `arrays`."""
-        cells, leaves = (arrays[name] for name in GUIDE)
-        *center, nearness, code, first = cells[2:].T
-        return cls(
-            box=np.ascontiguousarray(cells[:2, :3]),
-            cells=code.astype(np.uint32),
-            centers=np.stack(center, axis=1),
-            nearness=np.ascontiguousarray(nearness),
-            first=np.append(first, len(leaves)).astype(np.uint32),
-            leaves=leaves[:, 0].astype(np.uint32),
-            below=np.ascontiguousarray(leaves[:, 1]),
-        )
+        cells, chances = (arrays[name] for name in GUIDE)
+        box, codes = np.split(cells[:, 0], [6])
+        return cls(box.reshape(2, 3), codes.astype(np.uint32), chances.astype(np.uint16))
 
 
 NOTHING = Guide(
     box=np.zeros((2, 3), np.float32),
     cells=np.zeros(0, np.uint32),
-    centers=np.zeros((0, 3), np.float32),
-    nearness=np.zeros(0, np.float32),
-    first=np.zeros(1, np.uint32),
-    leaves=np.zeros(0, np.uint32),
-    below=np.zeros(0, np.float32),
+    chances=np.zeros((0, _BINS), np.uint16),
 )
 """The guide that guides nothing."""
 
 
 class Paths(NamedTuple):
-    """Vertices of paths, all with the same first axis.
+    """Paths of a training, vertices first, zeros where a path has no more of them.
 
     Attributes
     ----------
-    positions, directions
-        Positions of the vertices, and unit vectors along which the paths go on, shape (n, 3).
-    light
-        Radiance that the paths carry on, over the density of the directions, shape (n,).
-    distances
-        Distance to the next hit, shape (n,).
+    places
+        Codes of the places of the vertices, shape (vertex, path).
+    bins
+        Bins of the directions in which paths go on; too large where these are not to be learned.
+    carried
+        What the path to a vertex carries, mean of the channels.
+    before, after
+        Radiance that a path has gathered when it gets to a vertex, and with its direct light.
+    ends
+        Radiance that each path has gathered at its end, shape (path,).
     """
 
-    positions: Floats
-    directions: Floats
-    light: Floats
-    distances: Floats
+    places: Codes
+    bins: Codes
+    carried: Image
+    before: Image
+    after: Image
+    ends: Image
 
 
 def uniform(low: npt.ArrayLike, high: npt.ArrayLike) -> Guide:
-    """Return a guide without knowledge: one cell, in which all directions are equally likely."""
-    zero = np.zeros(1, np.uint32)
-    box = np.array([low, high], np.float32)
-    nothing = np.zeros(1, np.float32)
-    return Guide(box, zero, box[:1], nothing, np.array([0, 1], np.uint32), zero, nothing)
+    """Return a guide without knowledge, which draws as a diffuse material does."""
+    cells = (np.arange(_SIDES) << 3 * _AXIS).astype(np.uint32)
+    chances = np.full((_SIDES, _BINS), _CHANCES // _BINS, np.uint16)
+    return Guide(np.array([low, high], np.float32), cells, chances)
 
 
 def learn(box: Image, paths: Paths) -> Guide:
@@ -214,144 +192,139 @@ def learn(box: Image, paths: Paths) -> Guide:
     box
         Lowest and highest corner of the divided space, shape (2, 3).
     paths
-        The vertices to learn from.
+        The paths to learn from.
     """
-    codes = _place_codes(paths.positions, box)
-    cells = _cells(np.sort(codes), _PER_CELL * len(codes) ** 0.5)
-    cell = np.searchsorted(cells, codes, side="right") - 1
-    centers, nearness = _views(box, cells, cell, paths)
-    places = (paths.positions - centers[cell]) * nearness[cell, np.newaxis]
-    seen, _ = _seen_from_center(places, paths.directions)
-    keys = _keys(cell, _direction_codes(seen))
-    order = np.argsort(keys, kind="stable")
-    leaves, probability = _leaves(keys[order], paths.light[order], len(cells))
-    holder = (leaves // _DIRECTIONS).astype(np.intp)
-    first = np.searchsorted(holder, np.arange(len(cells) + 1))
-    below = np.concatenate([[0.0], np.cumsum(probability)])[:-1]
-    below -= below[first[:-1]][holder]
-    return Guide(
-        box,
-        cells.astype(np.uint32),
-        centers.astype(np.float32),
-        nearness.astype(np.float32),
-        first.astype(np.uint32),
-        (leaves % _DIRECTIONS).astype(np.uint32),
-        np.minimum(below, 1).astype(np.float32),
-    )
-
-
-def _views(
-    box: Image, cells: Codes, cell: npt.NDArray[np.intp], paths: Paths
-) -> tuple[Floats, Floats]:
-    """Return the center of the paths of each cell, and how near the light that they carry is."""
+    light, is_known = _light(paths)
+    is_known &= paths.bins < _BINS
+    codes, bins = paths.places[is_known], paths.bins[is_known]
+    cells = _cells(codes, _PER_CELL)
+    cell, light = _cell_of(cells)[codes], light[is_known].astype(np.float64)
     sums = functools.partial(np.bincount, cell, minlength=len(cells))
-    size = np.diff(np.append(cells, np.uint64(_PLACES))).astype(np.int64)
-    bits = (np.log2(size).astype(int)[:, np.newaxis] + [2, 1, 0]) // 3
-    step = (box[1] - box[0]) / 2**_AXIS
-    low = box[0] + step * np.stack([_joined(cells >> i, 3) for i in range(3)], axis=1)
-    high, count = low + step * 2.0**bits, sums()[:, np.newaxis]
-    centers = (low + high) / 2
-    places = np.stack([sums(x) for x in paths.positions.T], axis=1)
-    np.divide(places, count, out=centers, where=count > 0)
-    radius = np.linalg.norm(np.maximum(centers - low, high - centers), axis=1)
-    light, near = sums(paths.light), sums(paths.light / paths.distances)
-    nearness = np.divide(near, light, out=np.zeros(len(cells)), where=light > 0)
-    return centers, np.minimum(nearness, 1 / (_ROUND * radius))
+    mean = sums(light) / np.maximum(sums(), 1)
+    light = np.minimum(light, _OUTLIER * mean[cell])
+    held: Floats = np.bincount(cell * _BINS + bins, light, len(cells) * _BINS).astype(np.float64)
+    squares: Floats = sums(light**2).astype(np.float64)
+    share = _shares(cells, held.reshape(len(cells), _BINS), squares)
+    below = np.floor(np.cumsum(share, axis=1) * _CHANCES + 0.5)
+    chances = np.diff(below, axis=1, prepend=0)
+    chances[:, -1] += _CHANCES - below[:, -1]
+    return Guide(box, cells, chances.astype(np.uint16))
 
 
-def _seen_from_center(places: Any, directions: Any) -> tuple[Floats, Floats]:
-    """Return where rays from places in the unit ball leave it, and the growth of solid angles."""
-    along = (places * directions).sum(axis=1)
-    root = np.sqrt(np.maximum(along**2 - (places**2).sum(axis=1) + 1, _LEAST))
-    length = root - along
-    return places + length[:, np.newaxis] * directions, length**2 / root
+def _light(paths: Paths) -> tuple[Image, npt.NDArray[np.bool_]]:
+    """Return the light that comes to each vertex along its path, and where that is known.
+
+    It includes cosine and BSDF, and is relative to the density of the direction. Where the path
+    goes on to another vertex, the mean of all that leaves the surface there stands for what this
+    path has found.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leaving = np.maximum(paths.ends - paths.before, 0) / paths.carried
+        light = np.maximum(paths.ends - paths.after, 0) / paths.carried
+        is_known = (paths.carried > 0) & np.isfinite(light) & np.isfinite(leaving)
+        codes = paths.places[is_known]
+        cells = _cells(codes, _PER_MEAN)
+        of_place = _cell_of(cells)
+        cell = of_place[codes]
+        mean = np.bincount(cell, leaving[is_known]) / np.maximum(np.bincount(cell), 1)
+        found = np.maximum(paths.before[1:] - paths.after[:-1], 0)
+        beyond = mean[np.minimum(of_place[paths.places[1:]], len(mean) - 1)]
+        usual = (found + paths.carried[1:] * beyond) / paths.carried[:-1]
+    light[:-1] = np.where(is_known[1:], usual, light[:-1])
+    is_known[-1] &= len(is_known) == 1  # what is behind the last vertices that are kept is noise
+    return light, is_known
 
 
-def _cells(codes: Codes, per_cell: float) -> Codes:
-    """Return where cells begin that hold at most `per_cell` of the ascending codes."""
-    begins, done = np.zeros(1, np.uint64), list[Codes]()
-    for level in range(3 * _AXIS, 0, -1):
-        ends = np.searchsorted(codes, begins + np.uint64(2**level))
-        is_full = ends - np.searchsorted(codes, begins) > per_cell
+def _cells(codes: Codes, most: int) -> Codes:
+    """Return where cells begin that hold at most so many of the codes."""
+    below = np.concatenate([[0], np.cumsum(np.bincount(codes, minlength=_PLACES))])
+    begins, done = np.arange(_SIDES) << 3 * _AXIS, []
+    for level in range(3 * _AXIS, -1, -1):
+        is_full = (below[begins + 2**level] - below[begins] > most) & (level > 0)
         done.append(begins[~is_full])
-        halves = np.array([0, 2 ** (level - 1)], np.uint64)
-        begins = (begins[is_full, np.newaxis] + halves).ravel()
-    return np.sort(np.concatenate([*done, begins]))
+        begins = (begins[is_full, np.newaxis] + [0, 2**level // 2]).ravel()
+    return np.sort(np.concatenate(done)).astype(np.uint32)
 
 
-def _leaves(keys: Codes, light: Floats, cells: int) -> tuple[Codes, Floats]:
-    """Return the keys at which the leaves of all cells begin, and their probabilities."""
-    sums = np.concatenate([[0.0], np.cumsum(light, dtype=np.float64)])
-
-    def within(begins: Codes, size: int) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Return the paths to each square of a size, and the light that they carry."""
-        first, end = (np.searchsorted(keys, begins + np.uint64(i)) for i in (0, size))
-        return end - first, sums[end] - sums[first]
-
-    begins = np.arange(cells, dtype=np.uint64) * np.uint64(_DIRECTIONS)
-    _, total = within(begins, _DIRECTIONS)
-    done = []
-    for level in range(_SQUARE, -1, -1):
-        size = 4**level
-        count, held = within(begins, size)
-        of_cell = total[(begins // np.uint64(_DIRECTIONS)).astype(np.intp)]
-        share = np.full(held.shape, size / _DIRECTIONS)
-        np.divide(held, of_cell, out=share, where=of_cell > 0)
-        is_full = (count > _KNOWN) & (held > _LARGEST_LEAF * of_cell) & (level > 0)
-        mixed = (1 - _EVERYWHERE) * share + _EVERYWHERE * size / _DIRECTIONS
-        done.append((begins[~is_full], mixed[~is_full]))
-        quarters = np.arange(4, dtype=np.uint64) * np.uint64(size // 4)
-        begins = (begins[is_full, np.newaxis] + quarters).ravel()
-    leaves, probability = (np.concatenate(parts) for parts in zip(*done, strict=True))
-    order = np.argsort(leaves)
-    return leaves[order], probability[order]
+def _cell_of(cells: Codes) -> npt.NDArray[np.intp]:
+    """Return the number of the cell that holds each place."""
+    return np.repeat(np.arange(len(cells)), _sizes(cells))
 
 
-# --- Morton codes -------------------------------------------------------------------------------
+def _sizes(cells: Codes) -> npt.NDArray[np.intp]:
+    """Return the number of places in each cell."""
+    ends = np.append(cells[1:], _PLACES).astype(np.intp)
+    return ends - cells.astype(np.intp)
 
 
-def _place_codes(positions: npt.ArrayLike, box: Image) -> Any:
-    scaled = (np.asarray(positions) - box[0]) / (box[1] - box[0]) * 2**_AXIS
-    x, y, z = np.clip(scaled, 0, 2**_AXIS - 1).astype(np.uint64).T
-    return _spread(x, 3) | _spread(y, 3) << 1 | _spread(z, 3) << 2
+def _shares(cells: Codes, held: Floats, squares: Floats) -> Floats:
+    """Return the probabilities of bins, from the light in them and its sum of squares.
+
+    From the sides down to the cells, each cube mixes what it knows with the cube around it.
+    """
+    share = np.full(held.shape, 1 / _BINS)
+    sizes = _sizes(cells)
+    for level in range(3 * _AXIS, 0, -3):
+        _, first, cube = np.unique(cells >> level, return_index=True, return_inverse=True)
+        within = np.add.reduceat(held, first), np.add.reduceat(squares, first)
+        around = _leaning(share[first], *within)[cube]
+        share = np.where((sizes < 2**level)[:, np.newaxis], around, share)
+    return _leaning(share, held, squares)
 
 
-def _direction_codes(directions: npt.ArrayLike) -> Any:
-    """Return codes of unit vectors in the equal-area projection of the sphere to a cylinder."""
-    x, y, z = np.asarray(directions).T
-    square = np.stack([(z + 1) / 2, np.arctan2(y, x) / (2 * np.pi) % 1]) * 2**_SQUARE
-    u, v = np.clip(square, 0, 2**_SQUARE - 1).astype(np.uint64)
-    return _spread(u, 2) | _spread(v, 2) << 1
+def _leaning(share: Floats, held: Floats, squares: Floats) -> Floats:
+    """Return what light in bins tells of their probabilities, where others were known before."""
+    total = held.sum(axis=1)
+    # So many equal paths would tell as much (Kish, "Survey sampling", 1965).
+    equal = np.divide(total**2, squares, out=np.zeros_like(total), where=squares > 0)
+    weight = (equal / (equal + _PRIOR))[:, np.newaxis]
+    mixed: Floats = weight * _smooth(held) + (1 - weight) * share
+    return mixed
 
 
-def _keys(cells: npt.NDArray[Any], codes: npt.NDArray[Any]) -> Codes:
-    return cells.astype(np.uint64) * np.uint64(_DIRECTIONS) + codes.astype(np.uint64)
+def _smooth(held: Floats) -> Floats:
+    """Return the mean of each bin and those around it; the edge is repeated."""
+    square = np.pad(held.reshape(-1, _EDGE, _EDGE), ((0, 0), (1, 1), (1, 1)), mode="edge")
+    rows = square[:, :-2] + square[:, 1:-1] + square[:, 2:]
+    mean = (rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]) / 9
+    mean = mean.reshape(held.shape)
+    smooth: Floats = mean / np.maximum(mean.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    return smooth
 
 
-_STEPS = {
-    2: ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)),
-    3: ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)),
-}
-"""Shifts and masks that put 1 or 2 zeros between the bits of a number below 2^10."""
-
-
-def _spread(number: Any, apart: int) -> Any:
-    """Return a number with its bits spread apart; for NumPy or Dr.Jit."""
-    for shift, mask in _STEPS[apart]:
+def _spread(number: Any) -> Any:
+    """Return a number below 2^10 with two zeros between its bits."""
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         number = (number | number << shift) & mask
     return number
 
 
-def _joined(number: Any, apart: int) -> Any:
-    """Return every second or third bit of a number: the inverse of `_spread`."""
-    shifts, masks = zip(*reversed(_STEPS[apart]), strict=True)
-    number = number & masks[0]
-    for shift, mask in zip(shifts, (*masks[1:], 0x3FF), strict=True):
-        number = (number | number >> shift) & mask
-    return number
-
-
 # --- in Dr.Jit ----------------------------------------------------------------------------------
+
+
+class Place(NamedTuple):
+    """Where directions are drawn: the code of the place, and a frame around the normal."""
+
+    code: Any
+    one: Any
+    other: Any
+    normal: Any
+
+
+def place(mi: Any, low: Any, scale: Any, position: Any, normal: Any) -> Place:
+    """Return the place of a position on a surface that faces along a unit vector."""
+    x, y, z = (_spread(mi.UInt32(c)) for c in dr.clip((position - low) * scale, 0, 2**_AXIS - 1))
+    size = dr.abs(normal)
+    by_x = (size.x >= size.y) & (size.x >= size.z)
+    by_y = ~by_x & (size.y >= size.z)
+    main = dr.select(by_x, normal.x, dr.select(by_y, normal.y, normal.z))
+    number = dr.select(by_x, mi.UInt32(0), dr.select(by_y, mi.UInt32(2), mi.UInt32(4)))
+    side = dr.select(main < 0, number + 1, number)
+    # The next axis is never along the normal, so that frames turn smoothly within a side.
+    steps = (~(by_x | by_y), by_x, by_y)
+    axis = mi.Vector3f(*(dr.select(step, mi.Float(1), mi.Float(0)) for step in steps))
+    one = dr.normalize(axis - normal * dr.dot(normal, axis))
+    return Place(side << 3 * _AXIS | x | y << 1 | z << 2, one, dr.cross(normal, one), normal)
 
 
 @dataclass
@@ -363,96 +336,66 @@ class Lookup:
 
     mi: Any
     guide: InitVar[Guide]
-    steps: InitVar[tuple[int, int] | None] = None
     share: Any = None
     low: Any = None
     scale: Any = None
     cells: Any = None
-    views: Any = None
-    first: Any = None
-    count: Any = None
-    leaves: Any = None
-    below: Any = None
+    chances: Any = None
+    draws: Any = None
 
-    def __post_init__(self, guide: Guide, steps: tuple[int, int] | None) -> None:
-        self.set(guide, steps)
+    def __post_init__(self, guide: Guide) -> None:
+        self.set(guide)
 
-    def set(self, guide: Guide, steps: tuple[int, int] | None = None) -> None:
-        """Use another guide from now on.
-
-        The numbers of search steps for a cell and a leaf are part of the kernel. None takes as few
-        as the guide needs.
-        """
-        mi, longest = self.mi, int(np.diff(guide.first).max())
-        counts = len(guide.cells), longest
-        self.cell_steps, self.leaf_steps = steps or ((n - 1).bit_length() for n in counts)
-        # With a single leaf, the guide knows nothing.
-        self.share = dr.opaque(mi.Float, 1 if len(guide.leaves) == 1 else _SHARE)
-        low, high = guide.box.astype(np.float64)
-        self.low, self.scale = mi.Point3f(low), mi.Vector3f(2**_AXIS / (high - low))
-        self.cells = _own(mi.UInt32, guide.cells)
-        self.views = _own(mi.Float, np.column_stack([guide.centers, guide.nearness]).ravel())
-        self.first, self.count = _own(mi.UInt32, guide.first), mi.UInt32(len(guide.cells))
-        self.leaves, self.below = _own(mi.UInt32, guide.leaves), _own(mi.Float, guide.below)
-        dr.make_opaque(self.low, self.scale, self.count)
-
-    def place(self, position: Any) -> tuple[Any, Any, Any]:
-        """Return a position relative to the center of its cell, and the range of its leaves."""
+    def set(self, guide: Guide) -> None:
+        """Use another guide from now on."""
         mi = self.mi
-        scaled = dr.clip((position - self.low) * self.scale, 0, 2**_AXIS - 1)
-        x, y, z = (_spread(mi.UInt32(c), 3) for c in (scaled.x, scaled.y, scaled.z))
-        cell = self._last(self.cells, x | y << 1 | z << 2, 0, self.count, self.cell_steps)
-        first, end = (dr.gather(mi.UInt32, self.first, cell + i) for i in (0, 1))
-        view = dr.gather(mi.Vector4f, self.views, cell)
-        return (mi.Vector3f(position) - view.xyz) * view.w, first, end
+        low, high = guide.box.astype(np.float64)
+        self.low = mi.Point3f(low)
+        self.scale = mi.Float(2**_AXIS / (high - low).max())
+        self.cells = _own(mi.UInt32, _cell_of(guide.cells) * _BINS)
+        self.chances = _own(mi.Float, guide.chances.ravel())
+        bins = np.tile(np.arange(_BINS), len(guide.cells))
+        draws = np.repeat(bins, guide.chances.ravel())
+        self.draws = _own(mi.UInt32, draws[::2] | draws[1::2] << 16)
+        # Without knowledge, materials know better.
+        is_known = (guide.chances != _CHANCES // _BINS).any()
+        self.share = mi.Float(_SHARE if is_known else 1)
+        dr.make_opaque(self.low, self.scale, self.share)
 
-    def density(self, place: Sequence[Any], direction: Any) -> Any:
+    def place(self, si: Any) -> Place:
+        """Return the place of an interaction, on the side that is seen."""
+        normal = self.mi.Vector3f(si.sh_frame.n) * dr.select(si.wi.z < 0, self.mi.Float(-1), 1)
+        return place(self.mi, self.low, self.scale, si.p, normal)
+
+    def bin(self, place: Place, direction: Any) -> Any:
+        """Return the bin of a direction; too large below the surface."""
+        mi = self.mi
+        disk = mi.Point2f(dr.dot(place.one, direction), dr.dot(place.other, direction))
+        square = mi.warp.uniform_disk_to_square_concentric(disk) * _EDGE
+        x, y = (mi.UInt32(dr.clip(c, 0, _EDGE - 1)) for c in square)
+        return dr.select(dr.dot(place.normal, direction) > 0, y * _EDGE + x, _BINS)
+
+    def density(self, place: Place, direction: Any) -> Any:
         """Return the density of a direction per solid angle."""
-        mi, (offset, first, end) = self.mi, place
-        along = dr.dot(offset, direction)
-        root = dr.sqrt(dr.maximum(along * along - dr.squared_norm(offset) + 1, _LEAST))
-        length = root - along
-        seen = offset + length * direction
-        turn = dr.atan2(seen.y, seen.x) / (2 * dr.pi)
-        square = (0.5 * seen.z + 0.5, dr.select(turn < 0, turn + 1, turn))
-        u, v = (mi.UInt32(dr.clip(c * 2**_SQUARE, 0, 2**_SQUARE - 1)) for c in square)
-        code = _spread(u, 2) | _spread(v, 2) << 1
-        leaf = self._last(self.leaves, code, first, end - first, self.leaf_steps)
-        _, probability, _, size = self._leaf(leaf, end)
-        return probability * (_DIRECTIONS / _SPHERE) / size * length * length / root
+        mi, held = self.mi, self.bin(place, direction)
+        is_above = held < _BINS
+        index = dr.gather(mi.UInt32, self.cells, place.code) + held
+        chances = dr.gather(mi.Float, self.chances, index, is_above)
+        cosine = dr.dot(place.normal, direction)
+        return dr.select(is_above, chances * cosine * (_BINS / (_CHANCES * np.pi)), 0)
 
-    def sample(self, place: Sequence[Any], number: Any) -> Any:
+    def sample(self, place: Place, number: Any) -> Any:
         """Return a direction, drawn with two random numbers."""
-        mi, (offset, first, end) = self.mi, place
-        leaf = self._last(self.below, number.x, first, end - first, self.leaf_steps)
-        below, probability, begin, size = self._leaf(leaf, end)
-        inside = dr.clip((number.x - below) / probability, 0, dr.one_minus_epsilon(mi.Float))
-        edge = dr.sqrt(size) / 2**_SQUARE
-        z = 2 * (mi.Float(_joined(begin, 2)) / 2**_SQUARE + inside * edge) - 1
-        turn = mi.Float(_joined(begin >> 1, 2)) / 2**_SQUARE + number.y * edge
-        (sine, cosine), radius = dr.sincos(2 * dr.pi * turn), dr.safe_sqrt(1 - z * z)
-        return dr.normalize(mi.Vector3f(radius * cosine, radius * sine, z) - offset)
-
-    def _leaf(self, leaf: Any, end: Any) -> tuple[Any, Any, Any, Any]:
-        """Return the probability below a leaf, its own probability, its start, and its size."""
-        mi, goes_on = self.mi, leaf + 1 != end
-        below = dr.gather(mi.Float, self.below, leaf)
-        begin = dr.gather(mi.UInt32, self.leaves, leaf)
-        next_below = dr.gather(mi.Float, self.below, leaf + 1, goes_on)
-        next_begin = dr.gather(mi.UInt32, self.leaves, leaf + 1, goes_on)
-        probability = dr.select(goes_on, next_below, 1) - below
-        size = mi.Float(dr.select(goes_on, next_begin, _DIRECTIONS) - begin)
-        return below, probability, begin, size
-
-    def _last(self, values: Any, wanted: Any, first: Any, count: Any, steps: int) -> Any:
-        """Return the last of `count` places from `first` whose value is at most the wanted one."""
-        first, count = self.mi.UInt32(first), self.mi.UInt32(count)
-        for _ in range(steps):
-            half = count >> 1
-            is_right = (half > 0) & (dr.gather(type(values), values, first + half) <= wanted)
-            first = dr.select(is_right, first + half, first)
-            count = dr.select(is_right, count - half, dr.maximum(half, 1))
-        return first
+        mi, drawn = self.mi, number.x * _CHANCES
+        chance = dr.minimum(mi.UInt32(drawn), _CHANCES - 1)
+        first = dr.gather(mi.UInt32, self.cells, place.code) * (_CHANCES // _BINS)
+        pair = dr.gather(mi.UInt32, self.draws, (first + chance) >> 1)
+        held = dr.select((chance & 1) == 0, pair & 0xFFFF, pair >> 16)
+        inside = mi.Point2f(drawn - mi.Float(chance), number.y)
+        square = (mi.Point2f(mi.Float(held % _EDGE), mi.Float(held // _EDGE)) + inside) / _EDGE
+        x, y = mi.warp.square_to_uniform_disk_concentric(square)
+        z = dr.safe_sqrt(1 - x * x - y * y)
+        return dr.normalize(place.one * x + place.other * y + place.normal * z)
 
 
 def _own(kind: Any, values: npt.NDArray[Any]) -> Any:
@@ -460,7 +403,9 @@ def _own(kind: Any, values: npt.NDArray[Any]) -> Any:
 
     Kernels are compiled again for NumPy arrays that begin elsewhere, and for single values.
     """
-    return kind([*values.tolist(), 0, 0, 0, 0])
+    owned = dr.concat([kind(values), dr.zeros(kind, 4)])
+    dr.eval(owned)
+    return owned
 
 
 @functools.cache
@@ -477,7 +422,7 @@ def _material(mi: Any, _variant: str) -> type:
             self.m_flags = nested.flags()
 
         def sample(self, ctx: Any, si: Any, one: Any, two: Any, active: Any = True) -> Any:
-            share, place = self.lookup.share, self.lookup.place(si.p)
+            share, place = self.lookup.share, self.lookup.place(si)
             is_guided = one >= share
             drawn, weight = self.nested.sample(
                 ctx, si, dr.select(is_guided, 0.5, one / share), two, active & ~is_guided
@@ -509,7 +454,7 @@ def _material(mi: Any, _variant: str) -> type:
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             value, density = self.nested.eval_pdf(ctx, si, wo, active)
-            place = self.lookup.place(si.p)
+            place = self.lookup.place(si)
             density = self._mixed(si, wo, density, place)
             return value, dr.select(active, density, 0)
 
@@ -526,7 +471,13 @@ def _material(mi: Any, _variant: str) -> type:
 
 
 def kept_guide(store: Store, asked: str) -> Guide | None:
-    """Return the guide of a store's samples; None if it is to be trained again."""
+    """Return the guide of a store's samples; None if it is to be trained again.
+
+    Raises
+    ------
+    StoreError
+        If its samples were drawn by a guide of another kind.
+    """
     if (kept := store.guide()) is not None:
         return Guide.of_arrays(kept)
     unguided = asked == "auto" and store.attrs.get("guide") is None  # it goes on as it was begun
@@ -561,12 +512,19 @@ def _guide_by(lookup: Lookup, scene: Any) -> list[tuple[Any, Any]]:
     material = _material(mi, str(mi.variant()))
     for shape in scene.shapes():
         nested = shape.bsdf()
-        if nested is not None and mi.has_flag(nested.flags(), mi.BSDFFlags.Diffuse):
+        if nested is not None and _is_guided(mi, nested):
             if (key := str(nested.ptr)) not in made:
                 made[key] = material(nested, lookup)
             shape.set_bsdf(made[key])
             before.append((shape, nested))
     return before
+
+
+def _is_guided(mi: Any, material: Any) -> Any:
+    flags, kinds = material.flags(), mi.BSDFFlags
+    passes = mi.has_flag(flags, kinds.DiffuseTransmission)
+    passes |= mi.has_flag(flags, kinds.GlossyTransmission)
+    return mi.has_flag(flags, kinds.DiffuseReflection) & ~passes
 
 
 # --- training -----------------------------------------------------------------------------------
@@ -605,54 +563,57 @@ def trained(
     low, high = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
     margin = 1e-3 * (high - low).max()
     guide = uniform(low - margin, high + margin)
-    lookup = Lookup(mi, guide, _ROOM)
+    lookup = Lookup(mi, guide)
     before = _guide_by(lookup, scene)
     taught = []
     for i, seed in enumerate(seeds):
         last = 2 * (paths * 2**i // (2 * (2 ** len(seeds) - 1)))
-        traced, guided = _traced(mi, scene, sensor, seed, last)
+        traced, guided = _traced(mi, scene, sensor, lookup, seed, last)
         taught.append(traced)
-        guide = learn(guide.box, Paths(*map(np.concatenate, zip(*taught, strict=True))))
-        lookup.set(guide, _ROOM)
+        every = (np.concatenate(parts, axis=-1) for parts in zip(*taught, strict=True))
+        guide = learn(guide.box, Paths(*every))
+        lookup.set(guide)
     if samples is not None:
         lookup.share = dr.opaque(mi.Float, 1)
-        _, plain = _traced(mi, scene, sensor, seeds[0], last)
+        _, plain = _traced(mi, scene, sensor, lookup, seeds[0], last)
         # A few bright samples decide the variance of some blocks; logarithms dampen them.
         logs = np.log(np.maximum([guided, plain], _LEAST)).mean(axis=1)
         if np.exp(logs[0] - logs[1]) > WORTH:
             for shape, material in before:
                 shape.set_bsdf(material)
             return NOTHING
-    lookup.set(guide)
+        lookup.set(guide)
     return guide
 
 
-def _traced(mi: Any, scene: Any, sensor: Any, seed: int, paths: int) -> tuple[Paths, Floats]:
-    """Trace two paths through each of many positions; return their vertices and variances.
+def _traced(
+    mi: Any, scene: Any, sensor: Any, lookup: Lookup, seed: int, paths: int
+) -> tuple[Paths, Floats]:
+    """Trace two paths through each of many positions; return them and their variances.
 
     Positions follow the sequence R2, which spreads them evenly over the image (Roberts 2018, "The
     unreasonable effectiveness of quasirandom sequences").
     """
-    room = paths * _VERTICES
-    kinds = {"p": mi.Point3f, "wo": mi.Vector3f, "distance": mi.Float}
-    kinds |= {"throughput": mi.Spectrum, "radiance": mi.Spectrum}
-    held = {name: dr.zeros(kind, room) for name, kind in kinds.items()}
+    kinds = {"places": mi.UInt32, "bins": mi.UInt32}
+    kinds |= dict.fromkeys(("carried", "before", "after"), mi.Float)
+    held = {name: dr.zeros(kind, _VERTICES * paths) for name, kind in kinds.items()}
     dr.make_opaque(*held.values())
+
+    def seen(si: Any, bsdf: Any, direction: Any) -> tuple[Any, Any]:
+        """Return the code of a place, and the bin of a direction that is to be learned."""
+        place = lookup.place(si)
+        return place.code, dr.select(_is_guided(mi, bsdf), lookup.bin(place, direction), _BINS)
+
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), paths)
     lanes = dr.opaque(mi.UInt32, paths)
     lane = dr.arange(mi.UInt32, paths)
     position = mi.Point2f(*(mi.Float(lane // 2 * step) / 2**32 for step in _R2))
-    total = _trace(mi, scene, sensor, sampler, position, lanes, lane, held)
-    dr.eval(total, *held.values())
-    ends = dr.gather(mi.Spectrum, total, dr.arange(mi.UInt32, room) % lanes)
-    carried = held["throughput"]
-    light = dr.mean(dr.select(carried > 0, (ends - held["radiance"]) / carried, 0))
-    good = dr.compress((held["distance"] > 0) & dr.isfinite(light) & (light >= 0))
-    vertices = (held["p"], held["wo"], light, held["distance"])
-    kept = (np.array(dr.gather(type(value), value, good)).T for value in vertices)
-    radiance = np.nan_to_num(np.array(dr.mean(total), np.float64))
-    return Paths(*kept), _variances(radiance, *np.array(position))
+    ends = _trace(mi, scene, sensor, sampler, position, lanes, lane, held, seen)
+    dr.eval(ends, *held.values())
+    radiance = np.nan_to_num(np.array(ends, np.float64))
+    kept = {name: np.array(value).reshape(_VERTICES, paths) for name, value in held.items()}
+    return Paths(**kept, ends=np.array(ends)), _variances(radiance, *np.array(position))
 
 
 def _variances(radiance: Floats, x: Any, y: Any) -> Floats:
@@ -673,6 +634,7 @@ def _trace(
     paths: Any,
     lane: Any,
     held: Mapping[str, Any],
+    seen: Callable[[Any, Any, Any], tuple[Any, Any]],
 ) -> Any:
     """Follow paths with next-event estimation, and record their vertices.
 
@@ -683,17 +645,17 @@ def _trace(
     stored, depth = mi.UInt32(0), mi.UInt32(0)
     radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
     before, density, is_delta = dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True)
-    active, last = mi.Bool(True), mi.Bool(False)
+    active = mi.Bool(True)
     while active:
         si = scene.ray_intersect(ray, active)
-        dr.scatter(held["distance"], si.t, (stored - 1) * paths + lane, active & last)
-        seen = mi.DirectionSample3f(scene, si, before)
-        by_light = scene.pdf_emitter_direction(before, seen, active & ~is_delta)
+        hit = mi.DirectionSample3f(scene, si, before)
+        by_light = scene.pdf_emitter_direction(before, hit, active & ~is_delta)
         weight = dr.select(is_delta, 1, _power(density, by_light))
         radiance += throughput * weight * si.emitter(scene, active).eval(si, active)
         active &= si.is_valid() & (depth < _LONGEST)
         bsdf = si.bsdf(ray)
         is_smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        values = {"before": dr.mean(radiance)}
         lit, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, is_smooth)
         value, by_bsdf = bsdf.eval_pdf(ctx, si, si.to_local(lit.d), is_smooth)
         weight = dr.select(lit.delta, 1, _power(lit.pdf, by_bsdf))
@@ -703,11 +665,11 @@ def _trace(
         is_delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         is_kept = is_smooth & ~is_delta & (drawn.pdf > 0) & (stored < _VERTICES)
         is_kept &= dr.max(throughput * weight) > 0
-        values = {"p": si.p, "wo": going}
-        values |= {"throughput": throughput, "radiance": radiance}
+        values["places"], values["bins"] = seen(si, bsdf, going)
+        values |= {"carried": dr.mean(throughput), "after": dr.mean(radiance)}
         for name, value in values.items():
             dr.scatter(held[name], value, stored * paths + lane, is_kept)
-        stored, last = dr.select(is_kept, stored + 1, stored), mi.Bool(is_kept)
+        stored = dr.select(is_kept, stored + 1, stored)
         throughput *= weight
         survives = dr.select(depth < _ROULETTE, 1, dr.minimum(dr.max(throughput), 0.95))
         active &= (dr.max(throughput) > 0) & (sampler.next_1d() < survives)
@@ -715,7 +677,7 @@ def _trace(
         ray, before = si.spawn_ray(going), mi.Interaction3f(si)
         density = mi.Float(drawn.pdf)
         depth += 1
-    return radiance
+    return dr.mean(radiance)
 
 
 def _power(one: Any, other: Any) -> Any:

@@ -68,8 +68,10 @@ COUNTS = "counts"
 """Feature with the number of samples of each pixel, if they differ."""
 DENSITY = "density"
 """Feature of an adaptive render: samples of each pixel over the mean; counts follow from it."""
-GUIDE = ("guide-cells", "guide-leaves")
+GUIDE = ("guide-cells", "guide-chances")
 """Features that hold the guide by which directions were drawn."""
+FORMER_GUIDE = "guide-leaves"
+"""Feature of the guide of earlier versions, by which no directions can be drawn any more."""
 SCHEMA_VERSION = 2
 LOCK = ".lock"
 FOREIGN = (

@@ -388,7 +388,7 @@ class Store:
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
-        apart = {layout.COUNTS, layout.DENSITY, COSTS, *layout.GUIDE}
+        apart = {layout.COUNTS, layout.DENSITY, COSTS, *layout.GUIDE, layout.FORMER_GUIDE}
         return sorted(self._manifest["features"].keys() - apart)
 
     @property
@@ -397,7 +397,19 @@ class Store:
         return COSTS in self._manifest["features"]
 
     def guide(self) -> dict[str, Image] | None:
-        """Return the arrays of the samples' guide; None if there is none that can be read."""
+        """Return the arrays of the samples' guide; None if there is none that can be read.
+
+        Raises
+        ------
+        StoreError
+            If an earlier version made the guide.
+        """
+        if layout.FORMER_GUIDE in self._manifest["features"]:
+            message = (
+                f"{self.path}: an earlier chdstat made the guide of its samples, which this one "
+                "cannot draw by; render into a new store, or continue this one with that version"
+            )
+            raise StoreError(message)
         try:
             return {name: self._read_feature(name) for name in layout.GUIDE}
         except (KeyError, StoreError):
