@@ -2,7 +2,7 @@
 
     python tools/make_paper_pictures.py FOLDER [--quick]
 
-FOLDER keeps renders and networks, and is resumed: an hour on two cores, minutes with --quick. Into
+FOLDER keeps renders and networks, and is resumed: half an hour, minutes with --quick. Into
 docs/understand/paper/ go one WebP file for each figure, numbers.csv and errors.csv.
 """
 

@@ -257,7 +257,7 @@ def paper(
         Choice that is not the paper's: targets, pixels, validation, judging, patience or channels;
         can be repeated.
     quick : bool
-        Small images and a tenth of the training: minutes in place of an hour.
+        Small images and a tenth of the training: minutes in place of half an hour.
     edge : N, default 128, or 40 if quick
         Pixels along the longer edge; the paper's images have 800.
     store : FOLDER, default beside the PDF
