@@ -460,7 +460,7 @@ def _errors_of_batch(
     return sums, int((~usable).sum()), estimates, reference if number == 0 else None
 
 
-def judged_image(
+def measures_of_image(
     estimates: Sequence[Array], mean: Array, reference: Judge, units: Units, scene_mean: Array
 ) -> dict[str, Interval[Array]]:
     """Return the measures of estimates of an image from one batch.

@@ -144,7 +144,7 @@ PRESETS = {PAPER: Preset(name=PAPER, source="Elek, Thomas and Forbes 2019")}
 
 
 @dataclass(frozen=True)
-class Choice:
+class Deviation:
     """A choice in which a network here may differ from the paper's, and how to switch it.
 
     Attributes
@@ -172,7 +172,7 @@ class Choice:
 CHOICES = {
     choice.name: choice
     for choice in (
-        Choice(
+        Deviation(
             "targets",
             "The target of a batch is the mean of all samples of its pixel, the batch among them.",
             "The mean of the other samples: else the network learns to trust noise that its target "
@@ -180,7 +180,7 @@ CHOICES = {
             {"leave_out": False},
             {"leave_out": True},
         ),
-        Choice(
+        Deviation(
             "pixels",
             "6400 pixels train, however many remain; all of a smaller image.",
             "At least a quarter of the image does not train, or half of one below 93 × 93 pixels: "
@@ -188,20 +188,20 @@ CHOICES = {
             {"spare": False},
             {"spare": True},
         ),
-        Choice(
+        Deviation(
             "validation",
             "The validation loss is that of a tenth of all batches.",
             "That of at most 16,384 rows of them: the same curve in less time.",
             {"validation_rows": None},
             {"validation_rows": PRESETS[PAPER].validation_rows},
         ),
-        Choice(
+        Deviation(
             "judging",
             "All pixels judge, those that trained among them, by the mean of all their samples.",
             "Pixels that did not train, by samples that no estimate has seen, without the noise "
             "of these: as in all comparisons here.",
         ),
-        Choice(
+        Deviation(
             "patience",
             "All 30,000 iterations are done, and the last weights taken.",
             "2000 iterations after the smallest validation loss it ends, and takes the weights of "
@@ -210,7 +210,7 @@ CHOICES = {
             {"patience": 2000},
             ours=False,
         ),
-        Choice(
+        Deviation(
             "channels",
             "“A separate network for each tested scene”: whether R, G and B share it, the paper "
             "leaves open. They do here.",

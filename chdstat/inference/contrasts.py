@@ -56,13 +56,14 @@ from chdstat.inference.noise_rankings import (
     named_renders,
     noise_ranking,
 )
-from chdstat.inference.rare_light import RareLight, Unmet
+from chdstat.inference.rare_light import RareLight
 from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair, independent, seconds_of
 from chdstat.inference.windows import (
     CHANCE_TO_MISS,
     LEAST_LIGHT,
     Cells,
+    ClearestWindow,
     WindowTest,
     scan_windows,
     window_sums,
@@ -825,17 +826,11 @@ def contrasting(
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
     rare = None if pair.of_image else RareLight(maps, pair.spp)
 
-    def unmet_in(window: Sequence[int], band: int, weights: Floats) -> Unmet | None:
-        if rare is None:
-            return None
-        top, left, rows, columns = (edge * at for at in window)
-        ys, xs = slice(top, min(top + rows, height)), slice(left, min(left + columns, width))
-        of_pixels = weights.repeat(edge, 0).repeat(edge, 1)
-        return rare.in_window(ys, xs, band, of_pixels[ys, xs])
+    def is_rare(of: ClearestWindow) -> bool:
+        return rare is not None and rare.in_cells(of, edge) is not None
 
-    scan = yield from scan_windows(
-        cells, alpha=alpha * _OF_WINDOWS, seed=seed, is_rare=lambda *of: unmet_in(*of) is not None
-    )
+    level = alpha * _OF_WINDOWS
+    scan = yield from scan_windows(cells, alpha=level, seed=seed, is_rare=is_rare)
     p_with_rare = _of_parts(scan.p_with_rare, q)
     if rare is not None:
         q[rare.in_pixels() & np.isfinite(q)] = 1.0
@@ -845,19 +840,15 @@ def contrasting(
     (loss, window_loss), detectable = _losses(cells, pair.terms, scan), scan.detectable
     one = (q <= alpha).any(axis=-1).sum() == 1 and parts[1] < parts[0]
     if parts[1] <= alpha and (one or not parts[0] <= alpha):  # a pixel decides
-        y, x, band = map(int, np.unravel_index(np.nanargmin(q), q.shape))
         rows = columns = 1
-        of_a, of_b = (float(maps[f"mean_{name}"][y, x, band]) for name in "ab")
-        window_loss = 1 - of_b / of_a if of_a > 0 else np.nan
-        higher = of_b > of_a
+        y, x, band, window_loss, higher = _clearest_pixel(maps, q)
     unseen = (
         scan.unseen if all(pair.units) or not pair.of_image else _hidden(maps, pair, detectable)
     )
     differ = image_p_value <= alpha
     why, spp_needed = _why_not(maps, pair, detectable, unseen, differ=differ)
     if p_with_rare <= alpha and not differ:
-        unmet = scan.rare and unmet_in(*scan.rare)
-        why, spp_needed = _may_have_missed(unmet, scan.rare and scan.rare[0], edge, pair)
+        why, spp_needed = _may_have_missed(rare, scan.rare, edge, pair)
     dataset = _dataset(maps, pair)
     return Contrast(
         names=pair.names,
@@ -885,6 +876,13 @@ def contrasting(
         paired=pair.paired,
         alpha=alpha,
     )
+
+
+def _clearest_pixel(maps: dict[str, Array], q: Floats) -> tuple[int, int, int, float, bool]:
+    """Return place and band of the smallest q-value, the loss there, and whether B is brighter."""
+    y, x, band = map(int, np.unravel_index(np.nanargmin(q), q.shape))
+    of_a, of_b = (float(maps[f"mean_{name}"][y, x, band]) for name in "ab")
+    return y, x, band, 1 - of_b / of_a if of_a > 0 else np.nan, of_b > of_a
 
 
 def _parts(of_windows: float, q: Floats) -> tuple[float, float]:
@@ -1007,14 +1005,15 @@ def _why_not(
 
 
 def _may_have_missed(
-    unmet: Unmet | None, window: tuple[int, int, int, int] | None, edge: int, pair: Pair
+    rare: RareLight | None, of: ClearestWindow | None, edge: int, pair: Pair
 ) -> tuple[str, int | None]:
     """Return why a difference is no evidence, and the spp that would make it one."""
-    if unmet is None or window is None:
+    unmet = None if rare is None or of is None else rare.in_cells(of, edge)
+    if unmet is None or of is None:
         why = "pixels differ where one render may have missed light that it meets rarely"
         return f"{why}: render more samples", None
     render, spp = "AB"[unmet.render], pair.spp[unmet.render]
-    y, x, height, width = (edge * at for at in window)
+    y, x, height, width = (edge * at for at in of.window)
     needed = unmet.needed(spp)
     where = f"{width} x {height} pixels at {_place((y, x))}"
     return (

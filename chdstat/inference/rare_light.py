@@ -23,7 +23,7 @@ import numpy as np
 from scipy import ndimage
 
 from chdstat._core.arrays import Array, Floats, Mask
-from chdstat.inference.windows import CHANCE_TO_MISS
+from chdstat.inference.windows import CHANCE_TO_MISS, ClearestWindow
 
 _AROUND = 12
 """Pixels around a window that show how large samples are, or as many as the window has."""
@@ -36,7 +36,7 @@ _ENOUGH = -math.log(CHANCE_TO_MISS)
 """Expected number of samples of which none is met with that probability."""
 
 
-class Unmet(NamedTuple):
+class _Unmet(NamedTuple):
     """Light that a render may not have met by chance.
 
     Attributes
@@ -77,7 +77,7 @@ class RareLight:
 
     def in_window(
         self, ys: slice, xs: slice, band: int, weights: Floats | float = 1.0
-    ) -> Unmet | None:
+    ) -> _Unmet | None:
         """Return the light that one render may not have met in a window; None if it had met it.
 
         `weights`, (y, x), are those of pixels in the sums that were tested.
@@ -101,7 +101,15 @@ class RareLight:
         own = _size((w**2 * variance).sum(), (w * light).sum())
         lost = float(of_both[brighter] - of_both[darker]) * self._spp[darker]
         expected = float(_expected(lost, size, own))
-        return Unmet(darker, expected) if 0 < expected < _ENOUGH else None
+        return _Unmet(darker, expected) if 0 < expected < _ENOUGH else None
+
+    def in_cells(self, of: ClearestWindow, edge: int) -> _Unmet | None:
+        """Return the same of a window of cells, each a square of `edge` pixels."""
+        top, left, rows, columns = (edge * at for at in of.window)
+        height, width = self._means.shape[1:3]
+        ys, xs = slice(top, min(top + rows, height)), slice(left, min(left + columns, width))
+        weights = of.weights.repeat(edge, 0).repeat(edge, 1)
+        return self.in_window(ys, xs, of.band, weights[ys, xs])
 
     def in_pixels(self) -> Mask:
         """Return where one render may not have met the light of the other, (y, x, band)."""

@@ -201,22 +201,7 @@ class Pair:
             _name(first.name if first else one, a),
             b.name if isinstance(b, Reference) else _name(two, b),
         )
-        if a.shape[:2] != b.shape[:2]:
-            (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
-            named = [
-                f"{letter}{f', {name},' * (name != letter)}"
-                for letter, name in zip("AB", names, strict=True)
-            ]
-            message = (
-                f"{named[0]} has {width} x {height} pixels and {named[1]} {columns} x {rows}: "
-                "render both at one size"
-            )
-            raise InputError(message)
-        if a.shape[2] != b.shape[2]:
-            message = (
-                f"expected as many channels in both, got {a.shape[2]} in A and {b.shape[2]} in B"
-            )
-            raise InputError(message)
+        _check_same_size(a.shape, b.shape, names)
         seed = a.attrs.get("seed")
         if isinstance(b, Reference) and seed is not None and seed == b.attrs.get("seed"):
             warn_caller(
@@ -484,7 +469,6 @@ class Pair:
             Reason.ALL_NULL: (one == 0).all(axis=(2, 3)) & (other == 0).all(axis=(2, 3)),
             Reason.CONSTANT: np.isnan(p_value).all(axis=-1),
         }
-        variance = sums[0].variance(_averaged(self.a))
         number_a, number_b = (
             render.number.sum(axis=-1) * _averaged(of)
             for render, of in zip(sums, (self.a, self.b), strict=True)
@@ -498,10 +482,7 @@ class Pair:
             "constant": constant.all(axis=-1),
             "lamps": constant & (not self.of_image),
             "standard_error": error,
-            "variance_a": variance,
-            "variance_b": np.full_like(variance, np.nan)
-            if self.of_image
-            else sums[1].variance(_averaged(self.b)),
+            **self._variances(sums),
             **({} if self.of_image else self._spreads(one, other)),
             "correlation": _correlation(one[:, :, 0], other[:, :, 0]),
             "bad_a": 1 - sums[0].good / self._present(0, ys),
@@ -513,6 +494,13 @@ class Pair:
             **of_units,
             **of_reference,
         }
+
+    def _variances(self, sums: Sequence[_Sums]) -> dict[str, Floats]:
+        """Return variances of a sample of each render; NaN for that of an image."""
+        a = sums[0].variance(_averaged(self.a))
+        unknown = np.full_like(a, np.nan)
+        b = unknown if self.of_image else sums[1].variance(_averaged(self.b))
+        return {"variance_a": a, "variance_b": b}
 
     def _spreads(self, *terms: Array) -> dict[str, Floats]:
         """Return variances of samples in each band, as terms (y, x, band, term) tell them."""
@@ -700,6 +688,23 @@ def independent(source: Any) -> Samples:
     """Return samples, or averages that are independent if the samples are not."""
     found = samples_of(source, averages=True, dependent=True)
     return found.sequence_means() if sequence_of(found.attrs) > 1 else found
+
+
+def _check_same_size(a: Sequence[int], b: Sequence[int], names: tuple[str, str]) -> None:
+    """Refuse renders of different sizes or channels, given their shapes (y, x, channel, ...)."""
+    if tuple(a[:2]) != tuple(b[:2]):
+        named = [
+            f"{letter}{f', {name},' * (name != letter)}"
+            for letter, name in zip("AB", names, strict=True)
+        ]
+        message = (
+            f"{named[0]} has {a[1]} x {a[0]} pixels and {named[1]} {b[1]} x {b[0]}: "
+            "render both at one size"
+        )
+        raise InputError(message)
+    if a[2] != b[2]:
+        message = f"expected as many channels in both, got {a[2]} in A and {b[2]} in B"
+        raise InputError(message)
 
 
 def _scenes(a: Samples, b: Samples | Reference) -> tuple[str, str]:

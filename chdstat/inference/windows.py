@@ -14,9 +14,10 @@ of its sign are not exact. Then divisions of the samples of both renders are com
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+import operator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy import ndimage, sparse, special, stats
@@ -257,6 +258,30 @@ class Cells:
         return replace(self, differences=self.differences + more, extra=None)
 
 
+class ClearestWindow(NamedTuple):
+    """The clearest window of a size, in a band and a weighting.
+
+    Attributes
+    ----------
+    score
+        Its sum over its standard error, without its sign.
+    window
+        In cells: y, x, height and width.
+    band
+        Its band.
+    higher
+        Whether its sum is above 0.
+    weights
+        Those of the cells of the image, (y, x).
+    """
+
+    score: float
+    window: _Window
+    band: int
+    higher: bool
+    weights: Floats
+
+
 @dataclass(frozen=True)
 class WindowTest:
     """Result of `scan_windows`: whether the sum over a square window is beyond chance.
@@ -275,8 +300,8 @@ class WindowTest:
     p_with_rare
         The p-value with all windows.
     rare
-        The clearest of the windows, in cells, that are left out since a render may not have met
-        rare light there, with its band and the weights of cells; None if there is none.
+        The clearest of the windows that are left out since a render may not have met rare light
+        there; None if there is none.
     detectable
         Smallest relative losses that are found with a probability of 90 %: of the whole ``image``,
         and of a square of about a ``tenth`` of it, at any place. Infinite if no loss is; NaN
@@ -294,7 +319,7 @@ class WindowTest:
     unseen: tuple[float, int] | None = None
     higher: bool = True
     p_with_rare: float = np.nan
-    rare: tuple[_Window, int, Floats] | None = None
+    rare: ClearestWindow | None = None
 
 
 @dataclass(frozen=True)
@@ -399,7 +424,7 @@ def scan_windows(
     *,
     alpha: float = 0.05,
     seed: Seed = 0,
-    is_rare: Callable[[_Window, int, Floats], bool] = lambda *_: False,
+    is_rare: Callable[[ClearestWindow], bool] = lambda _: False,
 ) -> Generator[tuple[str, float], None, WindowTest]:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
@@ -419,9 +444,8 @@ def scan_windows(
 
     `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. The
     clearest window of each size counts only if the difference is no rare light, which `is_rare`
-    says of a window in cells, a band, and weights of the cells. P-values
-    below those of all flips are those of the tail fitted to them. Yields what is being done, and
-    the share that is done.
+    says. P-values below those of all flips are those of the tail fitted to them. Yields what is
+    being done, and the share that is done.
 
     References
     ----------
@@ -439,7 +463,7 @@ def scan_windows(
     alone = divisions is not None and cells.slack is not None and terms < FEWEST_FLIPS
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
-    scores, of_divisions, places, where, losses = [], [], [], [], []
+    scores, of_divisions, clearest, losses = [], [], list[ClearestWindow](), []
     weightings = (lambda _, mean: np.ones_like(mean)), _weights
     total, done = len(d) * len(weightings) * len(edges), 0
     for band in range(len(d)):
@@ -470,41 +494,47 @@ def scan_windows(
                 windows = _independent(largest[1:])
                 scores.append(_log_p(largest, windows))
                 place = y, x, min(edge, size[0]), min(edge, size[1])
-                places.append((float(largest[0]), band, place, higher))
-                where.append((place, band, heavy))
+                clearest.append(ClearestWindow(float(largest[0]), place, band, higher, heavy))
                 independent = independent if alone else (windows, *independent)
                 losses.append(replace(loss, windows=independent))
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
-    rare = [is_rare(*of) for of in where]
-    left_out = max((i for i, no in enumerate(rare) if no), key=lambda i: places[i][0], default=None)
-    counted = [of for of, no in zip(places, rare, strict=True) if not no]
-    _, band, window, higher = max(counted or places)
-    tests, with_rare = [], np.nan
-    if not alone:
-        choices = np.log(2) * (terms - 1)
-        tests.append(_of_all(scores, choices, alpha, terms, 1 / 2))
-        with_rare = tests[0][0]
-        if any(rare):
-            for score, no in zip(scores, rare, strict=True):
-                score[0] = 0.0 if no else score[0]
-            tests = [_of_all(scores, choices, alpha, terms, 1 / 2)]
+    left_out = [i for i, of in enumerate(clearest) if is_rare(of)]
+    counted, by_score = set(range(len(clearest))) - set(left_out), operator.attrgetter("score")
+    told = max([clearest[i] for i in sorted(counted)] or clearest, key=by_score)
+    with_rare, tests = (np.nan, []) if alone else _of_flips(scores, left_out, alpha, terms)
     if divisions is not None:
-        count = units.shape[-1]
-        choices = float(log_choices(np.array(count), np.array(cells.short)))
-        freedom = _freedom(cells.short, count - cells.short) if alone else np.inf
-        tests.append(_of_all(of_divisions, choices, alpha, count, 1 / 3, freedom))
+        tests.append(_of_divisions(of_divisions, alpha, units.shape[-1], cells.short, alone=alone))
     crossings = [crossing for _, crossing in tests]
     return WindowTest(
         p_value=max(p for p, _ in tests),
-        window=window,
-        band=band,
-        higher=higher,
+        window=told.window,
+        band=told.band,
+        higher=told.higher,
         p_with_rare=max([with_rare, *(p for p, _ in tests[1:])]),
-        rare=None if left_out is None else where[left_out],
+        rare=max((clearest[i] for i in left_out), key=by_score, default=None),
         detectable=_detectable(losses, crossings, cells),
         unseen=_unseen(cells, crossings[0](losses[-1].windows[0]) + _Z_90),
     )
+
+
+def _of_flips(
+    scores: list[Floats], left_out: Sequence[int], alpha: float, terms: int
+) -> tuple[float, list[tuple[float, _Crossing]]]:
+    """Return the p-value of all windows, and the test without what some of them have shown."""
+    choices = np.log(2) * (terms - 1)
+    counted = [np.append(0.0, of[1:]) if i in left_out else of for i, of in enumerate(scores)]
+    with_rare, _ = _of_all(scores, choices, alpha, terms, 1 / 2)
+    return with_rare, [_of_all(counted, choices, alpha, terms, 1 / 2)]
+
+
+def _of_divisions(
+    scores: list[Floats], alpha: float, units: int, short: int, *, alone: bool
+) -> tuple[float, _Crossing]:
+    """Return the test by divisions of units, of which `short` belong to one render."""
+    choices = float(log_choices(np.array(units), np.array(short)))
+    freedom = _freedom(short, units - short) if alone else np.inf
+    return _of_all(scores, choices, alpha, units, 1 / 3, freedom)
 
 
 def _of_all(

@@ -224,12 +224,7 @@ def render(
             f"sampler={settings['sampler']!r}"
         )
         raise InputError(message)
-    if by_light and isinstance(loaded.source, LiveScene):
-        message = (
-            "by_light switches lights off, which would change the scene that Mitsuba has built; "
-            "give the file or dict that it was made of"
-        )
-        raise InputError(message)
+    _check_lights(loaded, by_light)
     job = Job.of(loaded, **settings)
     went_on = existing is not None and existing.has_costs and client is None
     if cost or (went_on and job.backend.name == "scalar"):
@@ -251,6 +246,16 @@ def render(
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
         return _captured(job, depths, by_light, film, how, place, work, seconds)
+
+
+def _check_lights(scene: Scene, by_light: Sequence[str]) -> None:
+    """Refuse to switch lights of a scene that belongs to the caller."""
+    if by_light and isinstance(scene.source, LiveScene):
+        message = (
+            "by_light switches lights off, which would change the scene that Mitsuba has built; "
+            "give the file or dict that it was made of"
+        )
+        raise InputError(message)
 
 
 def _check_timing(job: Job, client: Client | None) -> None:

@@ -25,7 +25,7 @@ from chdstat._core.progress import portion, track
 from chdstat._core.resampling import Interval
 from chdstat.comparison import PixelEstimates
 from chdstat.comparison.judges import Judge, PartialSums
-from chdstat.comparison.judging import Units, judged_image
+from chdstat.comparison.judging import Units, measures_of_image
 from chdstat.errors import InputError, check_option
 from chdstat.estimators.elek2019 import CHOICES, MLP, PAPER, Preset, as_published
 from chdstat.estimators.held_out import draw_pixels
@@ -173,7 +173,7 @@ class PaperScene:
         if not (test & np.isfinite(truth.mean).all(axis=-1)).any():
             return {}
         images = [self.network.estimate]
-        return judged_image(images, self.mean, truth, Units.of(test), self.sums.scene_mean)
+        return measures_of_image(images, self.mean, truth, Units.of(test), self.sums.scene_mean)
 
     @property
     def ours(self) -> dict[str, Interval[Array]]:
