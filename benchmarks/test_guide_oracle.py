@@ -62,7 +62,7 @@ def paths_from(mi: Any, scene: Any, lookup: Any, i: int, p: Any, n: Any) -> tupl
     integrator = mi.load_dict({"type": "path"})
     light, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(ray))
     light = dr.mean(light - first.emitter(scene).eval(first))
-    of = guiding.place(mi, lookup.low, lookup.scale, position, normal)
+    of = lookup.at(position, normal)
     ratio = lookup.density(of, direction) * np.pi / w.z
     light, ratio = (np.array(x, np.float64).reshape(-1, PER) for x in (light, ratio))
     return np.maximum(np.nan_to_num(light), 0), ratio

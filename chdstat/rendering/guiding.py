@@ -56,11 +56,11 @@ _SHARE = 0.3
 this factor at each vertex, and weighs more.
 """
 WORTH = 0.7
-"""A guide pays if it multiplies the variance by less than this. A guided sample costs up to 1.65
-times an unguided one, 1.3 times in most scenes. Measured times would vary from run to run."""
+"""A guide pays if it multiplies the variance by less than this. A guided sample costs 1.1 to 1.4
+times an unguided one. Measured times would vary from run to run."""
 FEW = 32
-"""With fewer samples than this times the paths of a training, a guide is not tried. Learning that
-it does not pay could cost more than a seventh of the render."""
+"""With fewer samples than this times the paths of a training, a guide is not tried. Training
+takes as long as about five times its paths, which is then up to a seventh of the render."""
 _AXIS = 7
 """Bits of a position along each axis: the smallest cells are 1/128 of the scene."""
 _SIDES = 6
@@ -302,29 +302,13 @@ def _spread(number: Any) -> Any:
 # --- in Dr.Jit ----------------------------------------------------------------------------------
 
 
-class Place(NamedTuple):
+class _Facing(NamedTuple):
     """Where directions are drawn: the code of the place, and a frame around the normal."""
 
     code: Any
     one: Any
     other: Any
     normal: Any
-
-
-def place(mi: Any, low: Any, scale: Any, position: Any, normal: Any) -> Place:
-    """Return the place of a position on a surface that faces along a unit vector."""
-    x, y, z = (_spread(mi.UInt32(c)) for c in dr.clip((position - low) * scale, 0, 2**_AXIS - 1))
-    size = dr.abs(normal)
-    by_x = (size.x >= size.y) & (size.x >= size.z)
-    by_y = ~by_x & (size.y >= size.z)
-    main = dr.select(by_x, normal.x, dr.select(by_y, normal.y, normal.z))
-    number = dr.select(by_x, mi.UInt32(0), dr.select(by_y, mi.UInt32(2), mi.UInt32(4)))
-    side = dr.select(main < 0, number + 1, number)
-    # The next axis is never along the normal, so that frames turn smoothly within a side.
-    steps = (~(by_x | by_y), by_x, by_y)
-    axis = mi.Vector3f(*(dr.select(step, mi.Float(1), mi.Float(0)) for step in steps))
-    one = dr.normalize(axis - normal * dr.dot(normal, axis))
-    return Place(side << 3 * _AXIS | x | y << 1 | z << 2, one, dr.cross(normal, one), normal)
 
 
 @dataclass
@@ -362,12 +346,31 @@ class Lookup:
         self.share = mi.Float(_SHARE if is_known else 1)
         dr.make_opaque(self.low, self.scale, self.share)
 
-    def place(self, si: Any) -> Place:
+    def place(self, si: Any) -> _Facing:
         """Return the place of an interaction, on the side that is seen."""
         normal = self.mi.Vector3f(si.sh_frame.n) * dr.select(si.wi.z < 0, self.mi.Float(-1), 1)
-        return place(self.mi, self.low, self.scale, si.p, normal)
+        return self.at(si.p, normal)
 
-    def bin(self, place: Place, direction: Any) -> Any:
+    def at(self, position: Any, normal: Any) -> _Facing:
+        """Return the place of a position on a surface that faces along a unit vector."""
+        mi = self.mi
+        x, y, z = (
+            _spread(mi.UInt32(c))
+            for c in dr.clip((position - self.low) * self.scale, 0, 2**_AXIS - 1)
+        )
+        size = dr.abs(normal)
+        by_x = (size.x >= size.y) & (size.x >= size.z)
+        by_y = ~by_x & (size.y >= size.z)
+        main = dr.select(by_x, normal.x, dr.select(by_y, normal.y, normal.z))
+        number = dr.select(by_x, mi.UInt32(0), dr.select(by_y, mi.UInt32(2), mi.UInt32(4)))
+        side = dr.select(main < 0, number + 1, number)
+        # The next axis is never along the normal, so that frames turn smoothly within a side.
+        steps = (~(by_x | by_y), by_x, by_y)
+        axis = mi.Vector3f(*(dr.select(step, mi.Float(1), mi.Float(0)) for step in steps))
+        one = dr.normalize(axis - normal * dr.dot(normal, axis))
+        return _Facing(side << 3 * _AXIS | x | y << 1 | z << 2, one, dr.cross(normal, one), normal)
+
+    def bin(self, place: _Facing, direction: Any) -> Any:
         """Return the bin of a direction; too large below the surface."""
         mi = self.mi
         disk = mi.Point2f(dr.dot(place.one, direction), dr.dot(place.other, direction))
@@ -375,7 +378,7 @@ class Lookup:
         x, y = (mi.UInt32(dr.clip(c, 0, _EDGE - 1)) for c in square)
         return dr.select(dr.dot(place.normal, direction) > 0, y * _EDGE + x, _BINS)
 
-    def density(self, place: Place, direction: Any) -> Any:
+    def density(self, place: _Facing, direction: Any) -> Any:
         """Return the density of a direction per solid angle."""
         mi, held = self.mi, self.bin(place, direction)
         is_above = held < _BINS
@@ -384,7 +387,7 @@ class Lookup:
         cosine = dr.dot(place.normal, direction)
         return dr.select(is_above, chances * cosine * (_BINS / (_CHANCES * np.pi)), 0)
 
-    def sample(self, place: Place, number: Any) -> Any:
+    def sample(self, place: _Facing, number: Any) -> Any:
         """Return a direction, drawn with two random numbers."""
         mi, drawn = self.mi, number.x * _CHANCES
         chance = dr.minimum(mi.UInt32(drawn), _CHANCES - 1)

@@ -12,7 +12,7 @@ import chdstat as chd
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering import guiding, render_batches, render_pixels
 from chdstat.rendering.backend import activate, resolve
-from chdstat.rendering.guiding import Guide, Lookup, Paths, learn, place, uniform
+from chdstat.rendering.guiding import Guide, Lookup, Paths, learn, uniform
 from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.workers import render_remote
@@ -62,7 +62,7 @@ UP = np.array([0.2, -0.3, 0.9]) / np.linalg.norm([0.2, -0.3, 0.9])
 def lookup_and_place(mi, guide, positions, normals):
     lookup = Lookup(mi, guide)
     vectors = (mi.Vector3f(np.transpose(np.atleast_2d(x))) for x in (positions, normals))
-    return lookup, place(mi, lookup.low, lookup.scale, *vectors)
+    return lookup, lookup.at(*vectors)
 
 
 def taught(mi, rng, n, light):
