@@ -56,7 +56,7 @@ _SHARE = 0.3
 this factor at each vertex, and weighs more.
 """
 WORTH = 0.7
-"""A guide pays if it multiplies the variance by less than this. A guided sample costs 1.1 to 1.4
+"""A guide pays if it multiplies the variance by less than this. A guided sample costs up to 1.4
 times an unguided one. Measured times would vary from run to run."""
 FEW = 32
 """With fewer samples than this times the paths of a training, a guide is not tried. Training
