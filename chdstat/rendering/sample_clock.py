@@ -26,6 +26,8 @@ _EVERY = 16
 """One pass of so many is timed; never the first, for which caches are cold."""
 _LONGEST = 4
 """A sample that took this many times as long as 99 % of them did was interrupted."""
+_COLD = 2
+"""Samples at the beginning of a block that find cold caches: the first takes 4 times as long."""
 _FINE = 1e-6
 """Resolution that a clock needs, in seconds."""
 _ONE_AT_A_TIME = threading.Lock()
@@ -48,6 +50,24 @@ def uninterrupted(times: Floats) -> Floats:
     """
     longest = _LONGEST * np.nanquantile(times, 0.99) if np.isfinite(times).any() else np.nan
     return np.where(times > longest, np.nan, times)
+
+
+def _without_ends(spent: Floats) -> Floats:
+    """Return times of the samples of a block, with those of neighbours at both its ends.
+
+    The first samples find cold caches, and the last one goes on into what ends the block.
+
+    Examples
+    --------
+    >>> _without_ends(np.array([9.0, 3.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, np.nan]))
+    array([1., 1., 1., 1., 1., 2., 2., 2., 2.])
+    """
+    inner = spent[_COLD:-1] if len(spent) > _COLD + 1 else spent[:-1]
+    if not inner.size:
+        return np.full_like(spent, np.nan)
+    return np.concatenate(
+        [np.full(len(spent) - 1 - len(inner), inner[:3].mean()), inner, [inner[-3:].mean()]]
+    )
 
 
 @functools.cache
@@ -153,7 +173,5 @@ class SampleClock:
                 rows, columns = _order(*extent)
                 spent = np.diff(begun[at : at + len(rows)], append=np.nan)
                 at += len(rows)
-                # The last sample goes on into what ends the block: neighbours stand for it.
-                spent[-1] = spent[-4:-1].mean() if len(spent) > 1 else np.nan
-                found[y + rows, x + columns] = spent
+                found[y + rows, x + columns] = _without_ends(spent)
         return found
