@@ -307,6 +307,7 @@ _ALIASES = {
     "estimators": "estimator",
     "references": "reference",
     "images": "image",
+    "changed": "change",
 }
 """Parameters of the library whose options have other names, unless a command has that name."""
 
@@ -353,6 +354,11 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
     free = r"""(?<![-\w./'"])"""  # of quotes, as those of a name in JSON
     alone = rf"{free}((?:{names})(?= must | above )|(?<=smaller )(?:{names})\b|(?:{long})\b)"
     return re.sub(alone, lambda found: options[found[1]], text)
+
+
+def renders_beside(document: Path) -> Path:
+    """Return the folder that keeps the renders of a document unless another one is named."""
+    return document.with_name(f"{document.stem}-renders")
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:

@@ -26,6 +26,7 @@ from chdstat.cli.arguments import (
     as_typed,
     described,
     parameter,
+    renders_beside,
     typed_names,
 )
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
@@ -159,6 +160,7 @@ _FLOW = (
     "report",
     "explore",
     "study",
+    "paper",
 )
 
 
@@ -220,7 +222,8 @@ def _is_begun(line: Sequence[str]) -> bool:
     named = [text for name, text in itertools.pairwise(words) if name in _PLACES]
     resumed = any(word in _RESUMED for word in words)
     with contextlib.suppress(ChdstatError, OSError):
-        return resumed and any(place_of(text).exists() for text in named)
+        places = [place_of(text) for text in named]
+        return resumed and any(one.exists() or renders_beside(one).exists() for one in places)
     return False
 
 

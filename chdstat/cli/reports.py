@@ -20,6 +20,7 @@ from chdstat.cli.arguments import (
     StorePath,
     Words,
     pairs_of,
+    renders_beside,
 )
 from chdstat.cli.program import command
 from chdstat.errors import InputError, check_option
@@ -268,7 +269,7 @@ def paper(
 
     asked.target(out, ".pdf")  # refused before the work, not after
     found = repeated(
-        store or out.with_name(f"{out.stem}-renders"),
+        store or renders_beside(out),
         scenes=scenes,
         only=only,
         quick=quick,

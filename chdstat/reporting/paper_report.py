@@ -17,7 +17,7 @@ from chdstat._core.arrays import Array, generator, is_bad
 from chdstat._core.display import number, percent
 from chdstat._core.doors import report
 from chdstat._core.image_scales import worst_parts
-from chdstat.estimators.elek2019 import CHOICES, PAPER
+from chdstat.estimators.elek2019 import CHOICES, PAPER, as_published
 from chdstat.reporting.content import remake_note
 from chdstat.reporting.documents import Document, overview, typeset
 from chdstat.reporting.figures import batches_of, depth_of, marks_of
@@ -288,6 +288,16 @@ def _choices(found: PaperStudy) -> list[dict[str, str]]:
     ]
 
 
+def _left_open() -> str:
+    """Return what the paper does not say of its network and its training, as it is here."""
+    config = as_published()
+    return (
+        f"ReLU between layers, minibatches of {config.minibatch} rows, {config.optimiser.title()}, "
+        f"{config.initialisation.replace('he', 'He')} first weights, and radiance over its "
+        f"{config.scaling}"
+    )
+
+
 def _scale(found: PaperStudy) -> list[str]:
     """Return in which ways the experiment is smaller than the paper's."""
     scale, there = found.scale, []
@@ -315,6 +325,7 @@ def paper_document(found: PaperStudy) -> Document:
         "sentences": _verdicts(found),
         "choices": _choices(found),
         "changed": list(found.changed),
+        "open": _left_open(),
         "scale": _scale(found),
         "network": PAPER,
         "remakes": remake_note(scene.samples for scene in found.scenes),

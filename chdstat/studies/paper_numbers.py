@@ -250,7 +250,8 @@ def numbers(found: PaperStudy) -> list[dict[str, str]]:
 
 
 SENTENCES = {
-    1: ("5.1", "High number of null samples (around 60 %)"),
+    1: ("5.1 to 5.3", "High number of null samples (around 60 %) [...] low numbers of null samples "
+        "[...] the proportion of null samples is high, often exceeding 50 %"),
     2: ("5.1", "CHD tend to be quite symmetric in the log domain, close to Gaussian in fact. In "
         "the linear (radiance) domain, CHD exhibit long tails, strong skew, with mode typically "
         "lower than mean"),
@@ -274,8 +275,10 @@ SENTENCES = {
          "problem are fragile"),
     14: ("5.5", "The most frequent elementary distribution we have encountered across the board "
          "has a Gamma-like shape"),
-    15: ("6", "Although the majority of the estimates is improved by our model, some exceptions "
-         "remain."),
+    15: ("6", "a majority of the fireflies in the baseline is suppressed [...] lateral denoising "
+         "approaches would have an easier time [...] does not improve markedly after the initial "
+         "iteration batch [...] the majority of the estimates is improved by our model, some "
+         "exceptions remain."),
     16: ("6", "in the absence of any identifiable patterns [...] it should gracefully reduce to "
          "the baseline solution"),
     17: ("2", "negative if correlated (low-discrepancy) sampling is used"),
@@ -298,7 +301,8 @@ SENTENCES = {
     27: ("5.4", "even though this scene is geometrically very symmetric, the CHD are not in all "
          "cases"),
     28: ("5.4", "As expected, that influences the amount of transported energy, making the "
-         "order-2 image visibly darker than the order-5 one."),
+         "order-2 image visibly darker than the order-5 one. [...] taking roughly twice longer to "
+         "render"),
     29: ("8", "the characteristic per-pixel distributions holistically depend on the scene and "
          "the particular integrator used for the rendering"),
     34: ("2", "Dropping the temporary assumption of constant L within the pixel i, the actual "

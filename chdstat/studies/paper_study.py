@@ -377,15 +377,16 @@ def _scenes(
     """Return the scenes by these titles, real ones where the folder has them."""
     recipes = []
     for title in titles:
-        real = find_recipe(_REAL[title], folder) if folder and title in _REAL else None
-        recipe = real if real and Path(real.scene).is_file() else find_recipe(SCENES[title])
+        own = find_recipe(_REAL[title], folder) if folder and title in _REAL else None
+        recipe = own if own and Path(own.scene).is_file() else find_recipe(SCENES[title])
         assert recipe is not None, "each of them has a recipe"
         longest = scale.edge / max(recipe.size)
         width, height = (max(1, round(length * longest)) for length in recipe.size)
         depth = _FIVE if title == RESULTS[-1] else recipe.max_depth
         recipes.append(replace(recipe, size=(width, height), spp=scale.spp, max_depth=depth))
-    if folder and all(recipe.scene in BUILTIN for recipe in recipes):
-        wanted = [find_recipe(name, folder) for name in _REAL.values()]
+    real = [_REAL[title] for title in titles if title in _REAL]
+    if folder and real and all(recipe.scene in BUILTIN for recipe in recipes):
+        wanted = [find_recipe(name, folder) for name in real]
         named = ", ".join(recipe.scene for recipe in wanted if recipe)
         message = f"expected one of the paper's scenes at least, {named}, got none of them"
         raise InputError(message)

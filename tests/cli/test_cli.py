@@ -18,6 +18,7 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
+import chdstat.studies
 from chdstat.cli import arguments, main, output, program
 from chdstat.inference import Reference
 from chdstat.io import write_exr, write_reference
@@ -645,6 +646,12 @@ def test_damage_is_found_and_named(run, store, tmp_path):
     assert run("analyze", path, "-q")[0] == 2
 
 
+def test_a_wrong_choice_is_named_as_it_is_typed(run, tmp_path):
+    code, _, err = run("paper", "-o", tmp_path / "x.pdf", "--change", "tagets")
+    assert code == 2
+    assert err.startswith("chdstat: --change must be one of targets, pixels")
+
+
 def test_debug_shows_the_traceback(monkeypatch):
     from chdstat.errors import StoreError
 
@@ -668,6 +675,11 @@ def test_an_interrupt_says_how_to_go_on(run, monkeypatch, tmp_path):
     for line in (("-o", "x.zarr"), ("--out=x.zarr",)):
         code, _, err = run("render", "cornell-box", *line)
         assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
+    monkeypatch.setattr(chdstat.studies, "paper", stop)
+    assert run("paper", "-o", "x.pdf")[::2] == (130, "chdstat: stopped\n")
+    (tmp_path / "x-renders").mkdir()  # the PDF itself is made at the end
+    code, _, err = run("paper", "-o", "x.pdf")
+    assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
     monkeypatch.setattr(chdstat.cli.program, "app", stop)  # before a command runs
     assert run("info", "x.zarr")[::2] == (130, "chdstat: stopped\n")
 

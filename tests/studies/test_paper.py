@@ -112,7 +112,8 @@ def test_the_command_typesets_what_is_there(found, folder, tmp_path):
     assert "as published" in done.output
     text = " ".join(text_of(path).split())
     assert pages_of(path) > 3
-    for words in ("Numbers of the paper", "Sentences of the paper", "--edge 800", "patience"):
+    for words in ("Numbers of the paper", "Sentences of the paper", "--edge 800", "patience",
+                  "minibatches of 256 rows", "not as published"):  # fmt: skip
         assert words in text
 
 
@@ -187,3 +188,9 @@ def test_the_papers_own_scenes_are_taken_where_they_are(tmp_path):
     assert [scene.name for scene in scenes] == ["real-bathroom", "day-room"]
     assert [scene.recipe.size for scene in scenes] == [(88, 88), (88, 88)]
     assert all(scene.regions for scene in scenes)
+    (hall,) = paper_study._scenes(["MeasureOne"], tmp_path, scale)  # there is no other
+    assert hall.name == "gallery"
+    with pytest.raises(InputError) as refused:
+        paper_study._scenes(["WhiteRoom"], tmp_path, scale)
+    assert "scene_day_pbrt.xml" in str(refused.value)
+    assert str(place) not in str(refused.value)  # which is there
