@@ -194,7 +194,8 @@ def _of_strata(known: WithinPixels | None) -> Iterator[_Headline]:
     yield (
         finding,
         f"{share} of the relative variance is the picture changing within pixels. One sample in "
-        f"each of as many strata of a pixel takes that away; the rest is of paths.{where}",
+        f"each of as many strata of a pixel takes that away; the rest is of paths, or of details "
+        f"much finer than a pixel.{where}",
     )
 
 

@@ -858,7 +858,8 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool) -> Sampl
         if append and samples.costs is not None:
             store.add_costs(samples.costs)
         if append:
-            return store.finish()
+            store.finish()
+            return open(path)  # with the parts of the samples that were there
         parts = {
             which: save(part, path / layout.part_folder(which), append=False, progress=progress)
             for which, part in samples.parts.items()
