@@ -263,13 +263,13 @@ def _check_timing(job: Job, client: Client | None) -> None:
     if job.backend.name != "scalar":
         message = (
             "cost=True times the samples of each pixel, which only the scalar backend draws one by "
-            f"one, got backend={job.backend.name!r}; give backend='scalar', or leave out cost"
+            f"one, got backend={job.backend.name!r}; give backend='scalar', or leave out cost=True"
         )
         raise InputError(message)
     if job.built_integrator is not None:
         message = (
             "cost=True needs to know in which order pixels are drawn, which an integrator that is "
-            "there already does not tell; give one by name or as a dict, or leave out cost"
+            "there already does not tell; give one by name or as a dict, or leave out cost=True"
         )
         raise InputError(message)
     if client is not None:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Image, Reals
+from chdstat._core.display import Card, Shown, duration
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ _LEAST = 1 / 20
 """Least time that is told of a pixel, over the mean of the image: clocks err by as much."""
 
 
-@dataclass(frozen=True)
-class SampleCosts:
+@dataclass(frozen=True, repr=False)
+class SampleCosts(Shown):
     """Time that a sample of each pixel takes, as far as it was measured.
 
     Attributes
@@ -41,11 +42,21 @@ class SampleCosts:
     >>> costs = SampleCosts.of(np.array([[[1.0, 3.0], [4.0, 4.0]]]))
     >>> costs.seconds.tolist(), costs.error.tolist(), round(costs.over_median(0, 1), 2)
     ([[2.0, 4.0]], [[1.0, 0.0]], 1.33)
+    >>> costs
+    Costs of samples
+      pixels         2 × 1
+      timed samples  4
+      median         3 s
     """
 
     count: Floats
     mean: Floats
     squares: Floats
+
+    def _card(self) -> Card:
+        height, width = self.count.shape
+        facts = {"pixels": f"{width} × {height}", "timed samples": int(self.count.sum())}
+        return Card("Costs of samples", {**facts, "median": duration(self.median)})
 
     @classmethod
     def of(cls, times: Reals) -> Self:
