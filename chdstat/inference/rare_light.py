@@ -6,7 +6,8 @@ never is black, and nothing in its samples there tells that more light was to co
 around tell: if each of them carries about as much as the whole difference, one more in the window
 would have closed it. That explains a window, or a pixel, that lacks at least half of the light,
 where the other render meets it in smaller samples; it explains no small loss, and nothing between
-renders of one distribution.
+renders of one distribution. If the render lacks nearly all light around, what little it has met
+there does not tell either, and its samples in the whole image stand for them.
 
 The variance of a pixel over its mean is the size of the samples that carry its light, if they are
 rare. So a difference D of sums is worth :math:`\lambda = D / e` such samples, of size e. None of
@@ -32,6 +33,8 @@ _LARGER = 4.0
 brighter one in the window."""
 _LACKS = 0.5
 """Share of the light of the brighter render that the darker one lacks, at least."""
+_BLIND = 0.9
+"""Likewise around, if what the darker render has met there does not tell how large samples are."""
 _ENOUGH = -math.log(CHANCE_TO_MISS)
 """Expected number of samples of which none is met with that probability."""
 
@@ -87,14 +90,16 @@ class RareLight:
         of_both = (w * means).sum(axis=(1, 2))
         darker = int(of_both.argmin())
         brighter = 1 - darker
-        if not of_both[darker] <= (1 - _LACKS) * of_both[brighter]:
+        if not _lacks(of_both[darker], of_both[brighter]):
             return None
         around = []
         for of, length in zip((ys, xs), w.shape, strict=True):
             more = max(_AROUND, length)
             around.append(slice(max(of.start - more, 0), of.stop + more))
-        near = self._sums[:, darker, around[0], around[1], band].sum(axis=(1, 2))
-        size = _size(*near) if near[1] > 0 else self._of_image[darker, band]
+        near = self._sums[:, :, around[0], around[1], band].sum(axis=(2, 3))
+        size = _size(*near[:, darker])
+        if _lacks(near[1, darker], near[1, brighter], _BLIND):
+            size = self._of_image[darker, band]
         # Weights make samples of equal size differ.
         size = size * (w**2 * means[brighter]).sum() / of_both[brighter]
         variance, light = self._sums[:, brighter, ys, xs, band]
@@ -114,17 +119,22 @@ class RareLight:
     def in_pixels(self) -> Mask:
         """Return where one render may not have met the light of the other, (y, x, band)."""
         edge = 2 * _AROUND + 1
-        around = ndimage.uniform_filter(self._sums, (1, 1, edge, edge, 1))
-        sizes = _size(*np.maximum(around, 0))
-        sizes = np.where(np.isfinite(sizes), sizes, self._of_image[:, np.newaxis, np.newaxis])
+        around = np.maximum(ndimage.uniform_filter(self._sums, (1, 1, edge, edge, 1)), 0)
+        blind = _lacks(around[1], around[1, ::-1], _BLIND)
+        sizes = np.where(blind, self._of_image[:, np.newaxis, np.newaxis], _size(*around))
         lost, own = np.abs(self._means[1] - self._means[0]), _size(*self._sums)
         expected = np.where(
             self._means[0] < self._means[1],
             _expected(lost * self._spp[0], sizes[0], own[1]),
             _expected(lost * self._spp[1], sizes[1], own[0]),
         )
-        lacks = self._means.min(axis=0) <= (1 - _LACKS) * self._means.max(axis=0)
+        lacks = _lacks(self._means.min(axis=0), self._means.max(axis=0))
         return np.asarray(lacks & (expected > 0) & (expected < _ENOUGH))
+
+
+def _lacks(light: Floats, other: Floats, share: float = _LACKS) -> Mask:
+    """Return whether a render lacks at least this share of the light of the other."""
+    return np.asarray(light <= (1 - share) * other)
 
 
 @np.errstate(all="ignore")

@@ -48,6 +48,19 @@ def test_right_renders_do_not_differ():
         assert found.spp_needed is None or found.spp_needed > SPP
 
 
+def test_a_few_calm_pixels_around_do_not_tell_how_rare_the_rest_of_the_light_is():
+    """At most 2 of 6 pairs are told to differ: more is a chance of 1 in 450 if 1 in 20 of them is.
+
+    By the calm pixels alone, 4 are.
+    """
+    square, outcomes = np.s_[2:6, 18:22], []
+    for seed in range(2, 8):
+        x = met(seed, light()).read().copy()
+        x[square] = aimed(30 + seed, light()).read()[square]
+        outcomes.append(contrast(chd.Samples.from_array(x), aimed(60 + seed, light())).outcome)
+    assert outcomes.count("differ") <= 2
+
+
 def test_lost_light_is_found_however_rare_samples_are():
     assert contrast(met(1, 0.4 * light()), aimed(2, light())).outcome == "differ"
     square = light()
