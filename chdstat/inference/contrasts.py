@@ -866,7 +866,7 @@ def contrasting(
         window_brighter="B" if higher else "A",
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
-        timed="pixels" if pair.costs else "clock" if np.isfinite(pair.seconds).all() else "",
+        timed=("pixels" if pair.costs else "clock") if np.isfinite(pair.seconds).all() else "",
         spp=pair.counts,
         spp_range=pair.spp_range,
         reference=pair.b.known if isinstance(pair.b, Reference) else "",

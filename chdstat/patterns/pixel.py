@@ -123,7 +123,7 @@ class Pixel(Shown):
         place = y % height, x % width
         name, attrs = samples.name, samples.attrs
         found = cls(*place, radiance, samples.channels, name, parts, length, attrs=attrs)
-        if (costs := samples.costs) is None or not costs.count[place]:
+        if (costs := samples.costs) is None or not np.isfinite(costs.seconds[place]):
             return found
         seconds = float(costs.seconds[place]), float(costs.error[place])
         return replace(found, seconds=seconds, over_median=costs.over_median(*place))

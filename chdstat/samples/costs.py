@@ -86,10 +86,11 @@ class SampleCosts(Shown):
 
     @property
     def seconds(self) -> Floats:
-        """Mean time of a sample of each pixel, shape (y, x); NaN where none was timed."""
-        if not (total := self.count.sum()):
+        """Mean time of a sample of each pixel, shape (y, x); NaN where it is unknown."""
+        total, taken = self.count.sum(), (self.count * self.mean).sum()
+        if not taken > 0:  # a clock that reads 0 everywhere tells nothing
             return np.full(self.mean.shape, np.nan)
-        least = _LEAST * (self.count * self.mean).sum() / total
+        least = _LEAST * taken / total
         return np.where(self.count > 0, np.maximum(self.mean, least), np.nan)
 
     @property
@@ -101,7 +102,8 @@ class SampleCosts(Shown):
     @property
     def median(self) -> float:
         """Median of `seconds` over the pixels; NaN if nothing was timed."""
-        known = self.seconds[self.count > 0]
+        seconds = self.seconds
+        known = seconds[np.isfinite(seconds)]
         return float(np.median(known)) if known.size else np.nan
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:

@@ -138,6 +138,20 @@ def test_times_of_others_are_kept_and_merged(tmp_path):
     assert chd.analyze(samples, progress=False)["sample_seconds"].dims == ("y", "x")
 
 
+def test_a_clock_that_reads_zero_tells_no_efficiency():
+    x = np.random.default_rng(5).gamma(2.0, size=(2, 8, 8, 1, 16))
+    still, timed = (
+        chd.Samples.from_array(one, seconds=of * np.ones((8, 8)))
+        for one, of in zip(x, (0.0, 1.0), strict=True)
+    )
+    assert np.isnan(still.costs.seconds).all()
+    assert np.isnan(still.costs.median)
+    assert still.pixel(1, 1).seconds is None
+    found = chd.contrast(still, timed, progress=False)
+    assert np.isnan(found.efficiency_ratio.value)
+    assert found.timed == ""
+
+
 def test_merging_equals_concatenating():
     times = np.random.default_rng(1).random((3, 4, 9))
     one, two = SampleCosts.of(times[..., :2]), SampleCosts.of(times[..., 2:])
