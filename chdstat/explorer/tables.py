@@ -305,7 +305,7 @@ def places_table(place: Pixel) -> Table:
     rows = [[side, *(number(v, 2) for v in row)] for side, row in zip(sides, shown, strict=True)]
     told = place.variance_by_place
     note = f"about {counts.mean():.0f} samples in each cell"
-    note = f"{note}. Of the variance, {told}." if told else note
+    note = f"{note}. Variance by place: {told}." if told else note
     return {**_table("Luminance by place in the pixel", ["", *ends], rows, note), "shades": shades}
 
 

@@ -180,7 +180,7 @@ def _of_strata(known: WithinPixels | None) -> Iterator[_Headline]:
         return
     share, most = known.share.shown(percent), percent(max(known.share.high, 0.0))
     if known.share.low > _MATTERS:
-        finding = f"Strata over the pixel could take {share} of the noise."
+        finding, share = f"Strata over the pixel could take {share} of the noise.", "So much"
     elif known.share.high < _MATTERS:
         finding = f"Strata over the pixel would take little of the noise: at most {most}."
     else:
@@ -193,8 +193,8 @@ def _of_strata(known: WithinPixels | None) -> Iterator[_Headline]:
         )
     yield (
         finding,
-        f"{share} of the relative variance is the picture changing within pixels. One sample in "
-        f"each of as many strata of a pixel takes that away; the rest is of paths, or of details "
+        f"{share} of the relative variance is the picture changing within pixels. A stratum of the "
+        f"pixel for each sample takes that away; the rest is of paths, or of details "
         f"much finer than a pixel.{where}",
     )
 
