@@ -282,6 +282,9 @@ class ClearestWindow(NamedTuple):
     weights: Floats
 
 
+_SCORE = operator.attrgetter("score")
+
+
 @dataclass(frozen=True)
 class WindowTest:
     """Result of `scan_windows`: whether the sum over a square window is beyond chance.
@@ -500,8 +503,7 @@ def scan_windows(
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
     left_out = [i for i, of in enumerate(clearest) if is_rare(of)]
-    counted, by_score = set(range(len(clearest))) - set(left_out), operator.attrgetter("score")
-    told = max([clearest[i] for i in sorted(counted)] or clearest, key=by_score)
+    told = max([of for i, of in enumerate(clearest) if i not in left_out] or clearest, key=_SCORE)
     with_rare, tests = (np.nan, []) if alone else _of_flips(scores, left_out, alpha, terms)
     if divisions is not None:
         tests.append(_of_divisions(of_divisions, alpha, units.shape[-1], cells.short, alone=alone))
@@ -512,7 +514,7 @@ def scan_windows(
         band=told.band,
         higher=told.higher,
         p_with_rare=max([with_rare, *(p for p, _ in tests[1:])]),
-        rare=max((clearest[i] for i in left_out), key=by_score, default=None),
+        rare=max((clearest[i] for i in left_out), key=_SCORE, default=None),
         detectable=_detectable(losses, crossings, cells),
         unseen=_unseen(cells, crossings[0](losses[-1].windows[0]) + _Z_90),
     )
