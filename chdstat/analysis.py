@@ -260,8 +260,7 @@ def _measured(
         summary = summarize(samples, **work)
         of_block = functools.partial(_of_block, statistics)
         film = any(statistic.film for statistic in statistics.values())
-        kinds: Any = {"logarithms": True, "film": film, "description": "analysing"}
-        found = samples.map(of_block, **kinds, **work)
+        found = samples.map(of_block, logarithms=True, film=film, description="analysing", **work)
     # Parts count the same samples; the summary decides about nulls and bad samples.
     merged = xr.merge(
         [summary, *_finished(found, statistics)],

@@ -57,7 +57,7 @@ def main() -> None:
         sys.stdout.write(f"{file.name:32} {file.stat().st_size / 1000:.0f} KB\n")
     for name in COLUMNS:
         write(name, document.content[name])
-    sys.stdout.write(f"{len(document.figures)} of {len(FIGURES)} kinds of figures\n")
+    sys.stdout.write(f"{len(document.figures)} figures of {len(FIGURES)} kinds\n")
 
 
 if __name__ == "__main__":

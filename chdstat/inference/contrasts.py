@@ -829,8 +829,7 @@ def contrasting(
     def is_rare(of: ClearestWindow) -> bool:
         return rare is not None and rare.in_cells(of, edge) is not None
 
-    level = alpha * _OF_WINDOWS
-    scan = yield from scan_windows(cells, alpha=level, seed=seed, is_rare=is_rare)
+    scan = yield from scan_windows(cells, alpha=alpha * _OF_WINDOWS, seed=seed, is_rare=is_rare)
     p_with_rare = _of_parts(scan.p_with_rare, q)
     if rare is not None:
         q[rare.in_pixels() & np.isfinite(q)] = 1.0

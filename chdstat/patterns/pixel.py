@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -196,8 +196,9 @@ class Pixel(Shown):
     def part(self) -> PositivePart:
         """The positive samples of each row, of the samples that are fitted."""
         x = self.radiance[:, : self.fitted_spp]
-        rows: Literal["both", "channels"] = "both" if self.has_luminance else "channels"
-        return PositivePart.of_pixels(x, rows=rows, places=self.places)
+        return PositivePart.of_pixels(
+            x, rows="both" if self.has_luminance else "channels", places=self.places
+        )
 
     @cached_property
     def places(self) -> npt.NDArray[np.float32] | None:

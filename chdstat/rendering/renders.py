@@ -38,7 +38,16 @@ from chdstat.samples.layout import check_same, part_folder
 from chdstat.samples.ledger import counts_of
 from chdstat.samples.memory_writer import MemoryWriter
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, FILM, Chunk, LightPart, Work, chunk_grid
+from chdstat.samples.tiles import (
+    BATCH,
+    DIRECT_DEPTH,
+    FILM,
+    Chunk,
+    LightPart,
+    Work,
+    chunk_grid,
+    is_depth,
+)
 from chdstat.scenes import Scene, SceneLike, load_scene
 from chdstat.scenes.scene import MITSUBA, LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -210,7 +219,7 @@ def render(
     existing = Store.open(place) if place and is_store(out) else None
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
-        depths |= {part for part in held if isinstance(part, int) and part != FILM}
+        depths |= set(filter(is_depth, held))
         film = film or FILM in held
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         settings = _as_stored(settings, existing)

@@ -54,7 +54,16 @@ from chdstat.samples.dependence import (
 )
 from chdstat.samples.film_steps import OF_FILM, checked_places, unevenness
 from chdstat.samples.ledger import PixelCounts
-from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart, SampleSource, Work
+from chdstat.samples.tiles import (
+    ALL,
+    DIRECT_DEPTH,
+    FILM,
+    Chunk,
+    LightPart,
+    SampleSource,
+    Work,
+    is_depth,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -289,7 +298,7 @@ class Samples:
 
         `chdstat.patterns.attribute` returns how much light comes from which depth.
         """
-        return {n: part for n, part in self._parts.items() if isinstance(n, int) and n != FILM}
+        return {n: part for n, part in self._parts.items() if is_depth(n)}
 
     @property
     def film(self) -> Samples | None:

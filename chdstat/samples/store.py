@@ -51,7 +51,7 @@ from chdstat.samples.film_steps import FILM_STEPS, of_steps, to_steps
 from chdstat.samples.layout import FOREIGN, DamageError, is_store
 from chdstat.samples.ledger import Ledger, PixelCounts, counts_of
 from chdstat.samples.samples import ImageLike, Samples
-from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, FILM, Chunk, LightPart, is_depth
 
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes that decide whether the samples of two stores share random numbers."""
@@ -763,11 +763,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "complete_spp": store.ledger.complete_spp,
         "pending_chunks": len(store.pending()),
         "direct_spp": parts[DIRECT_DEPTH].ledger.complete_spp if DIRECT_DEPTH in parts else 0,
-        "depths": {
-            str(k): p.ledger.complete_spp
-            for k, p in parts.items()
-            if isinstance(k, int) and k != FILM
-        },
+        "depths": {str(k): p.ledger.complete_spp for k, p in parts.items() if is_depth(k)},
         "film_spp": parts[FILM].ledger.complete_spp if FILM in parts else 0,
         "lights": {k: p.ledger.complete_spp for k, p in parts.items() if isinstance(k, str)},
         "features": store.feature_names,

@@ -12,7 +12,7 @@ import reprlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypedDict
+from typing import TYPE_CHECKING, Protocol, TypedDict, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,17 @@ LightPart = int | str
 """A part of samples: paths of up to this many segments, lights of this name, or `FILM`."""
 SampleBlocks = Iterator[Image]
 """Samples of a tile, batch by batch, each (y, x, channel, sample)."""
+
+
+def is_depth(part: LightPart) -> TypeGuard[int]:
+    """Return whether a part holds paths of up to so many segments.
+
+    Examples
+    --------
+    >>> [is_depth(part) for part in (2, "lamp", FILM)]
+    [True, False, False]
+    """
+    return isinstance(part, int) and part != FILM
 
 
 class Work(TypedDict, total=False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,23 +41,26 @@ def test_a_timed_pass_draws_the_same_samples(camera):
     assert (drawn[1].costs.count == 1).mean() > 0.95  # others may be interrupted
 
 
-def test_each_time_belongs_to_its_pixel(monkeypatch):
-    """A sensor that takes long in one pixel makes that pixel costly, and no other."""
-    clock = [0.0]
+def slow_down(monkeypatch: pytest.MonkeyPatch, takes: Callable[[Any, Any], Any]) -> None:
+    """Stop the clock, but for what a sample of a pixel x, y of 40 x 36 takes."""
+    clock, watching = [0.0], sample_clock._watching
     monkeypatch.setattr(sample_clock, "now", lambda: clock[0])
-    watching = sample_clock._watching
 
     def slow(base: type) -> type:
         class Slow(watching(base)):  # type: ignore[misc]
             def sample_ray_differential(self, *arguments: Any) -> Any:
                 found = super().sample_ray_differential(*arguments)
-                x, y = np.floor(np.array(arguments[2]).ravel() * [40, 36])
-                clock[0] += 1 + 1e-3 * (40 * y + x)
+                clock[0] += takes(*np.floor(np.array(arguments[2]).ravel() * [40, 36]))
                 return found
 
         return Slow
 
     monkeypatch.setattr(sample_clock, "_watching", slow)
+
+
+def test_each_time_belongs_to_its_pixel(monkeypatch):
+    """A sensor that takes long in one pixel makes that pixel costly, and no other."""
+    slow_down(monkeypatch, lambda x, y: 1 + 1e-3 * (40 * y + x))
     costs = render(size=(40, 36), spp=2).costs
     assert costs.mean.mean() == pytest.approx(0, abs=1e-9)  # others take no time
     away = costs.mean - 1e-3 * np.arange(40 * 36).reshape(36, 40)
@@ -67,21 +71,7 @@ def test_each_time_belongs_to_its_pixel(monkeypatch):
 
 
 def test_cold_caches_at_the_beginning_of_a_block_are_no_cost_of_a_pixel(monkeypatch):
-    clock = [0.0]
-    monkeypatch.setattr(sample_clock, "now", lambda: clock[0])
-    watching = sample_clock._watching
-
-    def slow(base: type) -> type:
-        class Slow(watching(base)):  # type: ignore[misc]
-            def sample_ray_differential(self, *arguments: Any) -> Any:
-                found = super().sample_ray_differential(*arguments)
-                x, y = np.floor(np.array(arguments[2]).ravel() * [40, 36])
-                clock[0] += 3 if x % 32 == 0 and y % 32 == 0 else 1
-                return found
-
-        return Slow
-
-    monkeypatch.setattr(sample_clock, "_watching", slow)
+    slow_down(monkeypatch, lambda x, y: 3 if x % 32 == 0 and y % 32 == 0 else 1)
     mean = render(size=(40, 36), spp=2).costs.mean
     assert np.ptp(mean) == pytest.approx(0, abs=1e-9)
 
